@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from conftest import SYSTEM
+from linear_machines import double_integrator
 from small_selection import NETWORK_ONLY, plan_in
 from test_verbs import tustinnet
 
@@ -83,13 +84,16 @@ def test_notes_are_printed_once(monkeypatch, capsys, quiet):
 @pytest.mark.parametrize("error", [0.5, 133.0])
 def test_only_a_model_that_is_of_use_is_exported(capsys, error):
     result = SimpleNamespace(rmse=lambda: {"a": error})
-    data = SimpleNamespace(channels=SimpleNamespace(inputs=("u",)))
+    candidate = SimpleNamespace(content=SimpleNamespace(is_by_forces=False))
+    plan = SimpleNamespace(candidate=lambda name: candidate)
     choice: Any = SimpleNamespace(
         best="m",
+        model=double_integrator(),
+        candidates=SimpleNamespace(plan=plan),
         follows=True,  # as it is but for one record
         result=lambda name: result,
         reference=SimpleNamespace(mean=1.0),
-        context=SimpleNamespace(folder=Path("run"), data=data),
+        context=SimpleNamespace(folder=Path("run")),
     )
     print_next_steps(choice, "logs")
     printed = capsys.readouterr().out

@@ -11,6 +11,7 @@ from conftest import SMALL_RECIPE
 
 import tustinnet as tn
 from tustinnet.evaluate.reference import find_reference
+from tustinnet.fitting.report import Refit
 
 mpl.use("agg")
 
@@ -78,6 +79,10 @@ def test_a_notebook_shows_tables_and_a_picture(pendulum, system):
     assert intervals == [e.interval for e in result.identification.estimates]
     header = frame.write_csv().splitlines()[0]
     assert header.startswith("name,unit,value,error,naive_error,lower,upper,bound,")
+    again = Refit(0.2, 0.1, 1, {"gravity": 7.0})
+    rows = replace(result.identification, refit=again).to_frame().rows(named=True)
+    expected = {e.name: e.value for e in result.identification.estimates} | {"gravity": 7.0}
+    assert {row["name"]: row["in_model"] for row in rows} == expected
 
 
 def test_results_are_shown_in_a_few_lines(pendulum, folder, system):

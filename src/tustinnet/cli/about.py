@@ -9,8 +9,10 @@ from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
+import tustinnet as tn
 from tustinnet.cli import devices
 from tustinnet.cores import count_cores
+from tustinnet.models import physical_values
 
 NAME = "tustinnet"
 STEPS = """\
@@ -28,23 +30,31 @@ All commands: tustinnet --help; of one: tustinnet fit --help; Tab completes: --i
 _VARIABLES = ("JAX_", "XLA_", "TUSTINNET_", "CUDA_VISIBLE")  # beginnings of the names that matter
 
 
-def next_steps(model: Path, data: str, *, follows: bool, has_inputs: bool) -> str:
+def next_steps(path: Path, data: str, model: "tn.Model", *, follows: bool, by_forces: bool) -> str:
     """Commands to go on with after a fit.
 
     Args:
-        model: the model's file.
+        path: the model's file.
         data: the records as the user named them, in words of a shell.
+        model: the model; that of a robot's file has steps of its own.
         follows: whether the model follows the records better than a trivial predictor; where not,
             there is nothing to use it for.
-        has_inputs: whether it has inputs, by which it can be controlled.
+        by_forces: whether forces were compared, and nothing was simulated.
     """
-    file = shlex.quote(str(model))
-    steps = [f"tustinnet evaluate {file} {data} --residuals (test its errors)"]
+    file = shlex.quote(str(path))
+    equations = physical_values.equations_in(model)
+    is_robot = equations is not None and equations.system.source is not None
+    test = "--forces (the torques it misses)" if is_robot else "--residuals (test its errors)"
+    steps = [f"tustinnet evaluate {file} {data} {test}"]
+    if by_forces:
+        refit = f"tustinnet fit {data} --recipe grey --from {file} --out simulator"
+        steps.append(f"{refit} (simulates better)")
     if not follows:
         steps.append(f"tustinnet inspect {data} (look at the records)")
     else:
-        steps.append(f"tustinnet export {file} --to c --out model-c (use it elsewhere)")
-        if has_inputs:
+        target = "mjcf --out robot" if is_robot else "c --out model-c"
+        steps.append(f"tustinnet export {file} --to {target} (use it elsewhere)")
+        if model.inputs:
             steps.append(f"tustinnet control {file} --data {data} --at NAME=VALUE --out controller")
     return ", ".join(steps)
 

@@ -306,8 +306,9 @@ def _print_run(run: "runs.Run", data: str) -> None:
     steps = about.next_steps(
         run.folder / run_folder.MODEL,
         data,
+        run.best.result.model,
         follows=run.follows,
-        has_inputs=bool(run.channels.inputs),
+        by_forces=run.best.result.recipe.is_by_forces,
     )
     terminal.echo(f"next: {steps}")
 

@@ -127,8 +127,9 @@ def print_next_steps(choice: "choices.Choice", data: str) -> None:
     steps = about.next_steps(
         context.folder / run_folder.MODEL,
         data,
+        choice.model,
         follows=choice.follows and mean < choice.reference.mean,
-        has_inputs=bool(context.data.channels.inputs),
+        by_forces=choice.candidates.plan.candidate(choice.best).content.is_by_forces,
     )
     terminal.echo(f"next: {steps}")
 

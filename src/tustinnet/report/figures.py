@@ -191,7 +191,7 @@ def forces_figure(forces: RecordForces) -> Figure:
     Args:
         forces: the forces.
     """
-    n, t = len(forces.coordinates), forces.t - forces.t[0]
+    n, t = len(forces.coordinates), forces.t
     with figure_style():
         figure = Figure(figsize=(7.0, _PANEL * n + 0.5), layout="constrained")
         panels = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]

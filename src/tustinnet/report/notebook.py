@@ -153,7 +153,9 @@ def _(shown: DataSet) -> pl.DataFrame:
 @to_frame.register
 def _(shown: Identification) -> pl.DataFrame:
     rows = [asdict(estimate) for estimate in shown.estimates]
+    refitted = shown.refit.values if shown.refit else {}  # whose errors are not known
     for row in rows:
+        row["in_model"] = refitted.get(row["name"], row["value"])
         row["interval_lower"], row["interval_upper"] = row.pop("interval") or (None, None)
     return pl.DataFrame(rows, infer_schema_length=None)
 

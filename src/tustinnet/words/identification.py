@@ -201,6 +201,7 @@ IDENTIFICATION = {
         "values]]"
     ),
     "missing force": note("{joint} {share:percent.3g} ({force:.3g} {unit})"),
+    "missing force undriven": note("{joint} not driven, {force:.3g} {unit} missing"),
     "force kept": note("{force} kept ({before:percent.3g} to {after:percent.3g})"),
     "force not kept": note("{force} not kept ({before:percent.3g} to {after:percent.3g})"),
     "forces tried": note("forces tried, by what is missing of those that were left out: {trials}"),

@@ -223,7 +223,11 @@ def describe_forces(errors: Sequence[ForceError]) -> Finding:
         cutoff=errors[-1].cutoff,
         joints=[
             make_finding(
-                "missing force", joint=e.coordinate, share=e.share, force=e.missing, unit=e.unit
+                "missing force" if e.is_driven else "missing force undriven",
+                joint=e.coordinate,
+                share=e.share,
+                force=e.missing,
+                unit=e.unit,
             )
             for e in errors
         ],
