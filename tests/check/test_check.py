@@ -512,6 +512,20 @@ def test_keys_that_the_card_assumes_are_notes_until_they_are_deleted(tmp_path: P
     assert not [f for f in check_folder(tmp_path) if f.code == "assumed"]
 
 
+def test_channels_of_which_the_same_is_assumed_are_in_one_finding(tmp_path: Path) -> None:
+    table = np.column_stack([DT * np.arange(800), swing(), 2 * swing()])
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="t,a,b", comments="")
+    card = 'name = "arm"\ndt = 0.01\n[time]\ncolumn = "t"\nunit = "s"\n'
+    for name in "ab":
+        card += f'[[coordinates]]\nname = "{name}"\nkind = "angular"\ncolumn = "{name}"\n'
+        card += 'unit = "rad"\nassumed = ["unit"]\n'
+    (tmp_path / "dataset.toml").write_text(card)
+    (found,) = [f for f in check_folder(tmp_path) if f.code == "assumed"]
+    assert found.what == "the unit of a and b was assumed to be rad"
+    assert found.mend.startswith("under each of them: correct")
+    assert (found.channel, found.column) == ("", "")
+
+
 def double_pendulum(folder: Path, factor: float) -> None:
     """Records of two links, whose angles are written in another unit than rad, and a card."""
     rng = np.random.default_rng(0)

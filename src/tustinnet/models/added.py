@@ -186,7 +186,7 @@ def with_forces(
         plant = with_forces(system.plant, names, parameters)
         return with_controller(plant, system.feedback.channels, gains_of(system))
     added = parse_forces(system, names)
-    _require_additions(system, added)
+    require_additions(system, added)
     springs = [(force, law) for force in added if isinstance(law := force.law, Spring)]
     frictions = [force for force in added if isinstance(force.law, Friction)]
     # those that depend on a deflection are added last, in whatever order the names stand
@@ -253,7 +253,7 @@ def _with_inertias(system: LagrangianSystem, added: Sequence[PlacedForce]) -> di
     return {"kinetic": kinetic, "inertia": inertia}
 
 
-def _require_additions(system: LagrangianSystem, added: Sequence[PlacedForce]) -> None:
+def require_additions(system: LagrangianSystem, added: Sequence[PlacedForce]) -> None:
     """Raises if a system cannot have some forces, see `with_forces`."""
     of_system = system.nominal()
     owners = dict.fromkeys(of_system, f"the system '{system.name}'")

@@ -13,6 +13,7 @@ from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
 from tustinnet.fitting.inverse_dynamics.identification import are_all_driven
 from tustinnet.fitting.roles import records_without_test
 from tustinnet.fitting.task import resolve_system
+from tustinnet.models.added import parse_forces, require_additions
 from tustinnet.models.forces import LAWS
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.selection.jobs import RunContext
@@ -86,7 +87,10 @@ def _reason_against(
     elif candidate.when == "no-system" and context.system is not None:
         reason = "only without a system"
     elif _identifies(candidate):
-        reason = _system_problem(context.system_for(candidate.content), context)
+        system = context.system_for(candidate.content)
+        reason = _system_problem(system, context)
+        if isinstance(system, LagrangianSystem) and not reason:
+            reason = _force_problem(system, candidate)
     if not reason and candidate.when == "fully-actuated":
         problem = _inverse_dynamics_problem(context)
         reason = f"no inverse dynamics {problem}" if problem else ""
@@ -102,6 +106,17 @@ def _system_problem(system: LagrangianSystem | SystemTemplate | None, context: R
             system.for_records(records_without_test(context.data))
         except InputError as error:
             return str(error)
+    return ""
+
+
+def _force_problem(system: LagrangianSystem, candidate: Candidate) -> str:
+    """Why the forces of a candidate cannot be added to a system, empty if they can."""
+    try:
+        require_additions(
+            system, parse_forces(system, getattr(candidate.content.model, "forces", ()))
+        )
+    except InputError:
+        return "the system has these forces already, or has no place for them"
     return ""
 
 

@@ -4,7 +4,7 @@ Every candidate is tried on the first fold; the best kinds go on to the others. 
 change the ranking soonest, which is what takes least: first fits of every kind, and those of the
 best by then to further folds, and of what may be better still: it is ahead on too few records to be
 sure, or the best is lost where it was not tried, or the records speak for it. After these, further
-fits of others that are among the best, and first fits of second ones of a kind.
+fits of others that are among the best.
 """
 
 import math
@@ -120,11 +120,12 @@ class CandidateQueue:
             self._judge_by_pieces()
             return self.choose()
         earlier = {(job.candidate, job.fold) for job in self._running}  # or further ahead
+        coming = earlier | {(job.candidate, job.fold) for _, jobs in steps for job in jobs}
         known = len(self._jobs)
         for candidate, jobs in steps:
-            depends_on = {*candidate.corrects, *candidate.begins_with}
             for job in jobs:
-                waits = any((name, job.fold) in earlier for name in depends_on)
+                waits = any((name, job.fold) in earlier for name in candidate.corrects)
+                waits |= any((name, job.fold) in coming for name in candidate.begins_with)
                 next_job = None if waits else self._begin(job, candidate, steps)
                 if next_job is not None:
                     return [next_job]
@@ -259,9 +260,9 @@ class CandidateQueue:
     ) -> tuple[bool, float]:
         """A key that orders candidates: whether the job rarely changes the ranking, and its cost.
 
-        First fits and those of the best to further folds are first, but for first fits of second
-        ones of a kind and of what the plan calls `last`. The cost is the expected seconds, which
-        count more the rarer that is, and for every fold before.
+        First fits and those of the best to further folds are first. The cost is the expected
+        seconds, which count more the rarer that is, as for first fits of second ones of a kind and
+        of what the plan calls `last`, and for every fold before.
 
         Args:
             candidate: the candidate.
@@ -276,7 +277,7 @@ class CandidateQueue:
             power = 2 * (candidate.last or candidate.content.family in tried)
         folds = self.results[candidate.name].fits_by_fold
         cost = max(len(folds), 1) * self._expected(job) * OPTIONS.rarely**power
-        return (not leads if is_further else candidate.last and power > 0), cost
+        return is_further and not leads, cost
 
     def _expected(self, job: Job) -> float:
         """Expected seconds of a job: as before, else as one that usually takes as long, else that.

@@ -138,7 +138,7 @@ CHECK = {
         size="{channel} is {gain:.4g} times the other within {error:.2g} {unit}",
     ),
     "assumed": note(
-        "the {keys:and}[[ of {owner}]] {verb} assumed to be {values:and}", size="{evidence}"
+        "the {keys:and}[[ of {owner:and}]] {verb} assumed to be {values:and}", size="{evidence}"
     ),
     "assumed together": note(
         "the files of {channel} were assumed to begin together with those of the records",

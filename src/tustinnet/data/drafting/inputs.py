@@ -64,7 +64,8 @@ def describe_system_input(column: str, channel: Input, findings: Findings) -> In
     reading, numbers = findings.readings[column], findings.numbers[column]
     own = findings.answers.get(f"unit {column}") or reading.unit
     assumed = () if own else ("unit",)
-    if not own and reading.stated(_QUANTITY_UNITS):
+    is_current = {*reading.quantities} == {"current"}  # as `i1`, which is no torque
+    if not own and (is_current or reading.stated(_QUANTITY_UNITS)):
         own = _unit_of_quantity(reading)
     if channel.unit == "1":
         return InputChoice(column, channel.name, own or "1", assumed=assumed)
