@@ -377,7 +377,13 @@ class Channels(Described):
         return " and ".join(self.units)
 
     def require_same(
-        self, other: "Channels", other_name: object, own_name: str, *, open_holds: bool = True
+        self,
+        other: "Channels",
+        other_name: object,
+        own_name: str,
+        *,
+        open_holds: bool = True,
+        remedy: str = "",
     ) -> None:
         """Raises unless other channels are those of the same system at the same period.
 
@@ -389,6 +395,7 @@ class Channels(Described):
             other_name: owner of the other channels, for the message.
             own_name: owner of these channels, for the message.
             open_holds: whether an input without a declared hold agrees with an input that has one.
+            remedy: what may be done besides checking the data card, for the message.
 
         Raises:
             InputError: other coordinates, inputs or another period; a controller in the loop of one
@@ -410,7 +417,7 @@ class Channels(Described):
                     other_name,
                     f"{noun} {_join(actual)}",
                     f"{_join(expected)} as in {own_name}",
-                    "check the data card: names, kinds, units and order must agree",
+                    f"check the data card: names, kinds, units and order must agree{remedy}",
                 )
         if self.dt and other.dt and abs(other.dt / self.dt - 1) > SAME_PERIOD:
             raise InputError(

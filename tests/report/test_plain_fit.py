@@ -27,6 +27,7 @@ def test_the_library_and_the_command_choose_the_same(folder, tmp_path, monkeypat
     printed = capsys.readouterr()
     assert printed.out == ""
     assert "best so far: network" in printed.err
+    assert all(f"* {finding}\n" in printed.err for finding in choice.findings)
     starts = [c["starts"] for c in by_command["candidates"]]
     assert [c["starts"] for c in choice.as_plain()["candidates"]] == starts
     files = [place / "model.safetensors" for place in (out, tmp_path / "python")]
@@ -63,8 +64,11 @@ def test_the_budget_is_that_of_the_command(budget, limit, pendulum, monkeypatch,
 
 def test_a_single_recipe_shows_its_progress_unless_it_is_quiet(pendulum, system, capsys):
     heard: list[Any] = []
-    tn.fit(pendulum, "grey", system=system)
-    assert "grey: stage 1 of" in capsys.readouterr().err
+    result = tn.fit(pendulum, "grey", system=system)
+    printed = capsys.readouterr().err
+    assert "grey: stage 1 of" in printed
+    assert result.findings
+    assert all(f"* {finding}\n" in printed for finding in result.findings)
     tn.fit(pendulum, "grey", system=system, quiet=True)
     tn.fit(pendulum, "grey", system=system, listener=tn.Listener(on_progress=heard.append))
     assert capsys.readouterr() == ("", "")

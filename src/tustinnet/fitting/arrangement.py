@@ -29,5 +29,10 @@ def arrange_system(system: LagrangianSystem, records: Sequence[Experiment]) -> L
     )
     if inputs != system.inputs:
         system = replace(system, inputs=inputs)
-    system.channels.require_same(first.channels, first.name, f"the system '{system.name}'")
+    system.channels.require_same(
+        first.channels,
+        first.name,
+        f"the system '{system.name}'",
+        remedy="; `tustinnet init LOGS --system SYSTEM` drafts one for a system",
+    )
     return system

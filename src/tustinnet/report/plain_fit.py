@@ -5,7 +5,7 @@ from collections.abc import Callable
 from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
 from rich.console import Console
 
@@ -22,6 +22,8 @@ from tustinnet.report.progress import FitProgress
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.select import USUAL_BUDGET, Reporter, SelectionOptions, select_model
 from tustinnet.systems.files import AnySystem
+
+ResultType = TypeVar("ResultType", FitResult, Choice)
 
 
 @overload
@@ -72,7 +74,7 @@ def fit(
     Holds and delays of inputs that the records do not declare are searched for first. Without a
     recipe and without `physics`, `select_model` tries the usual plan, as the command `fit` does,
     and Ctrl-C ends with the best model so far, twice at once. The progress is printed, in notebooks
-    as one line that changes.
+    as one line that changes, and what was found.
 
     Args:
         data: records; with a recipe those of the splits `train` and, if free runs are to choose,
@@ -107,8 +109,10 @@ def fit(
         request = FitRequest(data, recipe, members, physics=physics, system=system)
         if listener or quiet:
             return fit_request(request, listener or SILENT)[0]
-        with FitProgress(_make_console()) as progress:
-            return fit_request(request, progress.listener())[0]
+        console = _make_console()
+        with FitProgress(console) as progress:
+            result = fit_request(request, progress.listener())[0]
+        return _print_findings(console, result)
     _refuse({"seed": seed, "listener": listener}, "without a recipe", "a recipe")
     limit = USUAL_BUDGET if budget is None else budget
     if not limit > 0:
@@ -126,7 +130,16 @@ def _select(data: DataSet, folder: Path, options: SelectionOptions, *, quiet: bo
         return select_model(data, folder, options)
     console = _make_console()
     with FitProgress(console) as progress:
-        return select_model(data, folder, options, reporter=make_reporter(progress, console.print))
+        reporter = make_reporter(progress, console.print)
+        choice = select_model(data, folder, options, reporter=reporter)
+    return _print_findings(console, choice)
+
+
+def _print_findings(console: Console, result: ResultType) -> ResultType:
+    """The result, whose findings are printed, a line each; a notebook shows them with it."""
+    for finding in () if isinstance(console.file, _LastLine) else result.findings:
+        console.print(f"* {finding}")
+    return result
 
 
 def _make_console() -> Console:

@@ -176,8 +176,9 @@ def _group(pieces: Sequence[Piece], inputs: Sequence[str]) -> list[DraftRecord]:
     kinds = [_kind(piece) for piece in pieces]
     for k, piece in enumerate(pieces):
         # records without excitation are a kind of their own
-        quiet = inputs and all(not np.ptp(piece.column(name)) for name in inputs)
-        kinds[k] += " without input" if quiet else ""
+        columns = [piece.column(name) for name in inputs]
+        if columns and not any(map(np.ptp, columns)):
+            kinds[k] += " at a constant input" if any(map(np.any, columns)) else " without input"
     sets: list[str] = []
     for piece in pieces:
         tokens = _tokens(PurePosixPath(piece.log.file).with_suffix("").as_posix())

@@ -312,7 +312,7 @@ def models_table(results: Sequence[ModelResult], records: Sequence[Experiment]) 
                 reported.label,
                 family_of(reported.model).kind,
                 f"{recipe['name']}{seed}" if recipe else "–",
-                f"{counted(count, 'record')} of {header['data']['name']}"
+                f"{counted(count, 'log')} of {header['data']['name']}"
                 if header.get("data")
                 else "–",
                 hashlib.sha256(file.read_bytes()).hexdigest()[:_CHECKSUM_DIGITS] if file else "–",
