@@ -335,7 +335,7 @@ def test_an_input_without_limits_stays_within_what_was_recorded(model, tmp_path,
     )
     assert code == 0
     assert "limits of torque as recorded, as none are declared" in messages
-    assert "without feedback, its inputs held, the model alone does in 20 of 20" in printed
+    assert "without feedback, its inputs held, the model alone does in 20 of 20, so that" in printed
     low, high = tn.read_header(model)["range"]["inputs"][0]
     assert f"limits of inputs: torque {low:.4g} to {high:.4g} N m" in printed
 

@@ -141,6 +141,7 @@ class Robustness:
             held, count = self.without.successes, len(self.without.outcomes)
             without = (
                 f"; without feedback, its inputs held, the model alone does in {held} of {count}"
+                f"{', so that the runs say little of the feedback' if held == count else ''}"
             )
         if worst.share == 1:
             return f"all {runs} runs on plants of {len(self.rows)} kinds meet the goal{without}"

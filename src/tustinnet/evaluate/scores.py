@@ -38,7 +38,8 @@ class Score(Shown):
         horizon: how long a free run lasted at most [s]; None for the whole record at once.
         coordinate_rmse_after: per coordinate, without the samples that the start was fitted to.
         reference: what a trivial predictor has instead of `rmse`, standing still or constant speed,
-            see `find_reference`; a model that is no better is worthless. None where it was not
+            whichever is the better one over all records that are scored together, see
+            `find_reference`; a model that is no better is worthless. None where it was not
             asked for, or records are too short for it.
     """
 
