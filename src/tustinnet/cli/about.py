@@ -12,6 +12,7 @@ from pathlib import Path
 import tustinnet as tn
 from tustinnet.cli import devices
 from tustinnet.cores import count_cores
+from tustinnet.families import euler_lagrange
 from tustinnet.models import physical_values
 
 NAME = "tustinnet"
@@ -42,8 +43,10 @@ def next_steps(path: Path, data: str, model: "tn.Model", *, follows: bool, by_fo
         by_forces: whether forces were compared, and nothing was simulated.
     """
     file = shlex.quote(str(path))
-    equations = physical_values.equations_in(model)
-    is_robot = equations is not None and equations.system.source is not None
+    is_robot = False
+    if euler_lagrange.FAMILY.owns(model):
+        equations = physical_values.equations_in(model)
+        is_robot = equations is not None and equations.system.source is not None
     test = "--forces (the torques it misses)" if is_robot else "--residuals (test its errors)"
     steps = [f"tustinnet evaluate {file} {data} {test}"]
     if by_forces:
