@@ -570,8 +570,10 @@ def _spread_lists(table: "pl.DataFrame") -> "pl.DataFrame":
 
     spread: list[pl.Series] = []
     for column in table.get_columns():
-        is_list = column.str.contains(_LIST).fill_null(value=False)
-        if not is_list[-1] or is_list.sum() < len(column) - HEADER_ROWS:
+        # most columns have none, as a single cell shows
+        may_be_lists = (column[-1] or "").lstrip().startswith("[")
+        is_list = column.str.contains(_LIST).fill_null(value=False) if may_be_lists else None
+        if is_list is None or not is_list[-1] or is_list.sum() < len(column) - HEADER_ROWS:
             spread.append(column)
             continue
         elements = column.str.strip_chars("[] ").str.replace_all(r"[,;\s]+", " ").str.split(" ")

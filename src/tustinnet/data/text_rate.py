@@ -30,8 +30,10 @@ _NAME_OF_RATE = re.compile(
 _IN_NAME = re.compile(r"(?<![\d.,])(\d{1,2}(?=ms)|\d{1,5}(?=us))(ms|us)(?![a-z])")
 
 _NUMERAL = r"(\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+)"
-_ASSIGNMENT = re.compile(rf"(?m)^\s*([\w.]+)\s*=\s*{_NUMERAL}(?:\s*/\s*{_NUMERAL})?\s*(?:[;#%,]|$)")
-_DATA_OBJECT = re.compile(rf"\biddata\(.*,\s*{_NUMERAL}\s*[,)]")  # of MATLAB
+_ASSIGNMENT = re.compile(
+    rf"(?m)^[ \t]*([\w.]+)\s*=\s*{_NUMERAL}(?:\s*/\s*{_NUMERAL})?\s*(?:[;#%,]|$)"
+)
+_DATA_OBJECT = re.compile(rf"\biddata\([^\n]{{0,300}},\s*{_NUMERAL}\s*[,)]")  # of MATLAB
 
 
 def period_in_name(name: str) -> float | None:

@@ -22,10 +22,10 @@ _COLUMN_OF_MATRIX = re.compile(r"\w+\[\d+\]")
 _LIST = re.compile(rf"(?<!legend\()[\[{{]\s*({_TEXT}(?:[\s,;.]+{_TEXT})+)\s*[\]}}]")
 # `q = data(:, 2:3)` of MATLAB, `q = data[:, 1:3]` of Python
 _TAKEN = re.compile(
-    r"(?m)^\s*(\w+)\s*=\s*\w[\w.]*([\[(])\s*:\s*,\s*(\d{1,3})(?:\s*:\s*(\d{1,3}))?\s*[\])]"
+    r"(?m)^[ \t]*(\w+)\s*=\s*\w[\w.]*([\[(])\s*:\s*,\s*(\d{1,3})(?:\s*:\s*(\d{1,3}))?\s*[\])]"
 )
 # `u = data["Channel 4"]`
-_TAKEN_BY_NAME = re.compile(rf"(?m)^\s*(\w+)\s*=\s*\w[\w.]*[\[(]\s*({_TEXT})\s*[\])]")
+_TAKEN_BY_NAME = re.compile(rf"(?m)^[ \t]*(\w+)\s*=\s*\w[\w.]*[\[(]\s*({_TEXT})\s*[\])]")
 
 
 def name_as_described(
@@ -97,7 +97,7 @@ def _read(folder: Path, patterns: Sequence[str]) -> Iterator[tuple[Path, str]]:
 def _read_scripts(folder: Path) -> Iterator[tuple[Path, str]]:
     """The scripts in a folder, without their comments of whole lines."""
     for path, text in _read(folder, _SCRIPTS):
-        yield path, re.sub(r"(?m)^\s*[%#].*$", "", text)
+        yield path, re.sub(r"(?m)^[ \t]*[%#].*$", "", text)
 
 
 def _names_in_script(text: str, width: int) -> list[str] | None:
