@@ -304,6 +304,38 @@ def test_what_is_ahead_on_few_records_is_fitted_to_more_before_others_of_its_kin
     assert order.index("another network") > 5
 
 
+def test_where_the_best_is_lost_what_is_not_goes_on_before_networks_are_tried():
+    seconds = {"linear": 1.0, "grey": 3.0, "network": 60.0}
+
+    def of(job: Job) -> JobResult:
+        is_lost = (job.candidate, job.fold) == ("grey", 1)
+        return scored(job, 1e6 if is_lost else QUALITY[job.candidate], seconds[job.candidate])
+
+    found = tried({**PLAN, "candidates": PLAN["candidates"][:3], "keep": 0.1})
+    found.run(executor := Pretended(of=of))
+    order = [(job.candidate, job.fold) for job in executor.done]
+    assert order[:4] == [("linear", 0), ("grey", 0), ("grey", 1), ("linear", 1)]
+    assert order.index(("linear", 2)) < order.index(("network", 0))
+
+
+def test_what_the_records_speak_for_goes_on_with_the_best_of_its_kind():
+    late = {"name": "late grey", "recipe": "best-grey", "last": True}
+    plan = SelectionPlan.model_validate(
+        {**PLAN, "candidates": [*PLAN["candidates"][:3], late], "keep": 0.1}
+    )
+    quality = QUALITY | {"late grey": 0.05}  # on the first fold
+    seconds = {"linear": 1.0, "grey": 3.0, "late grey": 4.0, "network": 60.0}
+    for promising in ((), ("late grey",)):
+        context = RunContext(swings(), Scorer(3, "model-20"), Path("nowhere"))
+        queue = CandidateQueue(plan, plan.candidates, context, print, promising=promising)
+        executor = Pretended(
+            of=lambda job: scored(job, quality[job.candidate], seconds[job.candidate])
+        )
+        Tried(queue).run(executor)
+        folds = [job.fold for job in executor.done if job.candidate == "late grey"]
+        assert folds == ([0, 1, 2] if promising else [0])
+
+
 def test_what_fails_is_left_and_told_and_the_others_go_on():
     def of(job: Job) -> JobResult | None:
         if job.candidate == "grey":
