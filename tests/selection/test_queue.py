@@ -8,13 +8,16 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_selection import swings
 
 from tustinnet.evaluate.reference import find_reference
+from tustinnet.evaluate.scores import Score
 from tustinnet.fits.deadline import NEVER, Deadline
 from tustinnet.fitting.recipe import IdentificationRecipe
 from tustinnet.selection import runner
+from tustinnet.selection.final_models import SelectionResults, compare_whole_records
 from tustinnet.selection.jobs import FitScore, Job, JobResult, RunContext
 from tustinnet.selection.plan import SelectionPlan
 from tustinnet.selection.queue import CandidateQueue
@@ -496,3 +499,32 @@ def test_what_is_lost_on_other_records_is_not_chosen_for_having_more_of_them(lef
     assert names(executor) == ["linear", "grey", "linear", "linear"]
     assert remaining[0].name == "grey"
     assert any(line.startswith("best so far: grey, off by 0.0105 rad") for line in found.said)
+
+
+@pytest.mark.parametrize("horizon", [None, 0.5])
+def test_whole_records_decide_between_what_pieces_do_not_tell_apart(horizon, monkeypatch):
+    far = {"grey": np.nan, "network": 0.2, "linear": 0.1}  # over whole records
+    errors = {"grey": 0.02, "network": 0.0205, "linear": 0.09}
+    plan = SelectionPlan.model_validate({**PLAN, "candidates": PLAN["candidates"][:3]})
+    context = RunContext(swings(), Scorer(3, "model-20", horizon), Path("nowhere"))
+    results = []
+    for c in plan.candidates:
+        result = CandidateResult(c.name)
+        for fold in (0, 1):
+            job = Job(c.name, context.recipe_of(c), fold)
+            result = result.with_job(
+                scored(job, errors[c.name] + 0.002 * fold * (c.name == "grey"))
+            )
+        results.append(result)
+
+    def evaluate_folds(self, fits, start, horizon):
+        name = next(r.name for r in results if r.fits_by_fold is fits)
+        return {"r": Score("r", start, far[name], *[far[name]], (), (), (), np.zeros((1, 2)))}
+
+    monkeypatch.setattr(RunContext, "evaluate_folds", evaluate_folds)
+    candidates = SelectionResults(plan, tuple(results), tuple(far))
+    grey = candidates.result("grey")
+    best, scores, alike = compare_whole_records(candidates, grey, context)
+    expected = ("grey", ()) if horizon is None else ("network", ("grey", "network"))
+    assert (best.name, alike) == expected
+    assert scores["r"].rmse == pytest.approx(far[best.name], nan_ok=True)

@@ -33,6 +33,6 @@ def arrange_system(system: LagrangianSystem, records: Sequence[Experiment]) -> L
         first.channels,
         first.name,
         f"the system '{system.name}'",
-        remedy="; `tustinnet init LOGS --system SYSTEM` drafts one for a system",
+        remedy="; a draft for a system (init, `system=`) has them",
     )
     return system

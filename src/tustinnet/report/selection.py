@@ -87,7 +87,7 @@ def candidates_table(choice: Choice) -> Table:
         "candidate",
         f"RMSE [{unit}]",
         "start",
-        f"worse than {choice.best} by",
+        f"difference to {choice.best}",
         *["unexplained force [%]"] * by_forces,
         "records",
         "folds",

@@ -7,12 +7,14 @@ those that the folds scored.
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, error_message
 from tustinnet.evaluate.metrics import mean_and_error
-from tustinnet.evaluate.scores import rmse_by_record, score_runs
+from tustinnet.evaluate.scores import Score, rmse_by_record, score_runs
 from tustinnet.families.committee import committee
 from tustinnet.families.family import family_of
 from tustinnet.fits.deadline import NEVER, Deadline
@@ -24,7 +26,7 @@ from tustinnet.models.contract import Model
 from tustinnet.selection.folds import FoldSplit
 from tustinnet.selection.jobs import Job, MakeListener, RunContext, make_job_task
 from tustinnet.selection.plan import SelectionPlan
-from tustinnet.selection.ranking import CandidateResult
+from tustinnet.selection.ranking import CandidateResult, paired_difference
 from tustinnet.store.kept_system import CANDIDATES
 
 WHOLE = "all-records"  # the folder of an identification from all records
@@ -70,6 +72,59 @@ class FinalModel:
     origin: str
     header: Mapping[str, Any] = field(default_factory=dict)
     records: Sequence[Experiment] = ()
+
+
+class WholeRecords(NamedTuple):
+    """The best candidate by its free runs of whole records.
+
+    Attributes:
+        best: the candidate.
+        scores: its free runs of whole records, by models that were not fitted to them.
+        alike: names of the candidates of which these decided; empty where nothing was to decide.
+    """
+
+    best: CandidateResult
+    scores: Mapping[str, Score]
+    alike: tuple[str, ...] = ()
+
+
+def compare_whole_records(
+    candidates: SelectionResults,
+    best: CandidateResult,
+    context: RunContext,
+    deadline: Deadline = NEVER,
+) -> WholeRecords:
+    """Runs the best candidate along whole records, and what pieces of these do not tell from it.
+
+    Of several that are as good over pieces the one is the best whose free runs of whole records
+    are off least; what is further off than the records move is lost.
+
+    Args:
+        candidates: the results of the candidates.
+        best: the best one by what was scored.
+        context: the records, and how they were scored.
+        deadline: after it no other candidate is run.
+    """
+
+    def run(result: CandidateResult) -> Mapping[str, Score]:
+        return context.evaluate_folds(result.fits_by_fold, result.start, None)
+
+    whole = {best.name: run(best)}
+    for other in candidates.choosable if context.scoring.horizon is not None else ():
+        difference = paired_difference(other, best)
+        is_as_good = difference.records > 1 and difference.mean <= difference.standard_error
+        has_all = other is not best and other.fits_by_fold.keys() >= best.fits_by_fold.keys()
+        if is_as_good and has_all and not deadline.has_passed():
+            whole[other.name] = run(other)
+    if len(whole) == 1:
+        return WholeRecords(best, whole[best.name])
+    most = context.motion_within_turns
+    errors = {
+        name: np.mean([np.fmin(score.rmse, most) for score in scores.values()])
+        for name, scores in whole.items()
+    }
+    name = min(errors, key=lambda name: errors[name])
+    return WholeRecords(candidates.result(name), whole[name], tuple(whole))
 
 
 def make_final_models(

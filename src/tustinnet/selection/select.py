@@ -24,7 +24,12 @@ from tustinnet.models.contract import require_float64
 from tustinnet.selection.applicability import adds_lag, applicable_candidates, force_cutoff
 from tustinnet.selection.calibration import calibrate_on_folds
 from tustinnet.selection.choice import Choice
-from tustinnet.selection.final_models import FinalModel, SelectionResults, make_final_models
+from tustinnet.selection.final_models import (
+    FinalModel,
+    SelectionResults,
+    compare_whole_records,
+    make_final_models,
+)
 from tustinnet.selection.folds import prepare_for_folds
 from tustinnet.selection.jobs import NO_STAGE, SPENT, JobResult, MakeListener, RunContext
 from tustinnet.selection.plan import USUAL, SelectionPlan, read_plan
@@ -276,7 +281,9 @@ def _choose(
     context, remaining = queue.context, queue.remaining()
     names = tuple(r.name for r in remaining)
     candidates = SelectionResults(queue.plan, tuple(queue.results.values()), names)
-    best = remaining[0]
+    best, whole, alike = compare_whole_records(candidates, remaining[0], context, deadline)
+    if alike:
+        queue.notes.append(make_finding("whole records decide", candidates=[*alike]))
     folds = len(best.fits_by_fold)
     as_often = [r for r in candidates.choosable if len(r.fits_by_fold) == folds]
     simplest = find_simplest(as_often, best)
@@ -312,7 +319,7 @@ def _choose(
         bands,
         spoiled=spoiled,
         notes=left_out,
-        whole=context.evaluate_folds(best.fits_by_fold, best.start, None),
+        whole=whole,
     )
     for name, model in models.items():
         path = context.folder / CANDIDATES / name / MODEL

@@ -93,6 +93,10 @@ SELECTION = {
         "judged by free runs in the loop of the controller in the data card: set points go in, "
         "motion comes out"
     ),
+    "whole records decide": note(
+        "pieces of records do not tell {candidates:and} apart: the one whose free runs of "
+        "whole records are off least is chosen"
+    ),
     "judged by pieces": warning(
         "free runs of whole records are further off than 0.3 of the motion: judged over pieces of "
         "{horizon:.3g} s instead, each from a start of its own (`horizon` in a plan)",
