@@ -519,7 +519,7 @@ def test_whole_records_decide_between_what_pieces_do_not_tell_apart(horizon, mon
 
     def evaluate_folds(self, fits, start, horizon):
         name = next(r.name for r in results if r.fits_by_fold is fits)
-        return {"r": Score("r", start, far[name], *[far[name]], (), (), (), np.zeros((1, 2)))}
+        return {"r": Score("r", start, far[name], far[name], (), (), (), np.zeros((1, 2)))}
 
     monkeypatch.setattr(RunContext, "evaluate_folds", evaluate_folds)
     candidates = SelectionResults(plan, tuple(results), tuple(far))

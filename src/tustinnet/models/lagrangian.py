@@ -401,19 +401,14 @@ class LagrangianSystem:
                     f"one of {', '.join(self.nominal())}",
                     "declare it among the parameters",
                 ) from error
-            except IndexError as error:
-                counts = f"{counted(n, 'coordinate')} and {counted(sizes['u'], 'input')}"
-                raise InputError(
-                    where,
-                    f"fails with {describe_error(error)}",
-                    "indices that the vectors have",
-                    f"{counts}, counted from 0",
-                ) from error
             except Exception as error:
                 remedy = tracing_remedy(error)
+                problem = type(error).__name__ if remedy else describe_error(error)
                 if isinstance(error, TypeError) and "positional argument" in str(error):
                     remedy = f"its arguments are ({', '.join(letters)}): {_LETTERS}"
-                problem = type(error).__name__ if remedy else describe_error(error)
+                elif isinstance(error, IndexError) and not remedy:
+                    counts = f"{counted(n, 'coordinate')} and {counted(sizes['u'], 'input')}"
+                    remedy = f"there are {counts}, counted from 0"
                 raise InputError(
                     where,
                     f"fails with {problem}",
