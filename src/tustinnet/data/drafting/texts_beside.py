@@ -90,6 +90,8 @@ def _describe(
 def _read(folder: Path, patterns: Sequence[str]) -> Iterator[tuple[Path, str]]:
     """The texts in a folder whose names are like these."""
     for path in sorted(path for pattern in patterns for path in folder.glob(pattern)):
+        if not path.is_file():  # a pipe would be waited for
+            continue
         with suppress(OSError, InputError):
             yield path, decode(path, None)[0][:_LONGEST]
 
