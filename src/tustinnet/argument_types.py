@@ -54,8 +54,8 @@ def _find_misfit(
             found = type(given[name]).__name__.replace("NoneType", "None")
             model = getattr(given[name], "model", None)
             remedy = "" if model is None or not _fits(model, hint) else "give its `model`"
-            of = function.__qualname__.removesuffix(".__init__")
-            place, expected = f"{of}, {name}", " or ".join(_words(hint))
+            owner = function.__qualname__.removesuffix(".__init__")
+            place, expected = f"{owner}, {name}", " or ".join(_words(hint))
             other = next((n for n, h in _hints(function).items() if _is_of(given[name], h)), "")
             remedy = remedy or (f"give it as `{other}=`" if other else "")
             return InputError(place, found, expected, remedy)

@@ -94,7 +94,7 @@ def choose_free_runs(
         usual = [e for e in records if len(e) >= DERIVED.usual_samples] or records
         start = starts.default_start(usual, *models.values())
         if len(models) > 1:
-            defaults.append(f"start '{start}', as the models' files name different ones (--start)")
+            defaults.append(f"start '{start}', as the models' files name no common one (--start)")
     if horizon is None and file_horizon is not None:
         defaults.append(f"segments of {file_horizon:g} s as in the model's file (--horizon)")
     horizon = file_horizon if horizon is None else None if horizon == math.inf else horizon

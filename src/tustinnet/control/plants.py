@@ -113,8 +113,8 @@ def load_rivals(
         as_good: whether only those are taken that are at most twice as far off as the model.
 
     Returns:
-        Those that follow the records better than a trivial predictor; none of a model that is from
-        no selection.
+        Those that follow the records better than a trivial predictor, or, if they are to be
+        `as_good`, about as well as the model; none of a model that is from no selection.
     """
     loaded = [
         load_model(path, system if read_system_name(path) else None)

@@ -112,9 +112,7 @@ def _system_problem(system: LagrangianSystem | SystemTemplate | None, context: R
 def _force_problem(system: LagrangianSystem, candidate: Candidate) -> str:
     """Why the forces of a candidate cannot be added to a system, empty if they can."""
     try:
-        require_additions(
-            system, parse_forces(system, getattr(candidate.content.model, "forces", ()))
-        )
+        require_additions(system, parse_forces(system, _forces(candidate)))
     except InputError:
         return "the system has these forces already, or has no place for them"
     return ""
@@ -125,9 +123,14 @@ def adds_lag(candidate: Candidate) -> bool:
     return LAG in _laws(candidate)
 
 
+def _forces(candidate: Candidate) -> tuple[str, ...]:
+    """The forces that the recipe of a candidate adds, as it has them."""
+    return getattr(candidate.content.model, "forces", ())
+
+
 def _laws(candidate: Candidate) -> list[str]:
     """The names of the forces that the recipe of a candidate adds."""
-    return [f.partition(":")[0] for f in getattr(candidate.content.model, "forces", ())]
+    return [force.partition(":")[0] for force in _forces(candidate)]
 
 
 def _needs_limited_travel(candidate: Candidate) -> bool:

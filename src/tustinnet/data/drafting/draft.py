@@ -349,8 +349,8 @@ def _find_period(
         return float(answers[PERIOD]), "as you say"
     if (period := _said_period(folder, logs)) is not None:
         return period, "by the sampling rate that the files say"
-    if (said := period_beside(folder)) is not None:
-        return said
+    if (by_script := period_beside(folder)) is not None:
+        return by_script
     if by_velocities is not None:
         return by_velocities
     return _only_period({period_in_name(log.file) for log in logs}) or _USUAL_PERIOD, ""

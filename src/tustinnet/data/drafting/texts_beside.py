@@ -65,8 +65,8 @@ def period_beside(folder: Path) -> tuple[float, str] | None:
 
     Of several they say the same.
     """
-    said = {path.name: period_in_script(text) for path, text in _read_scripts(folder)}
-    periods = {name: x for name, x in said.items() if x and SHORTEST_DT <= x <= LONGEST_DT}
+    by_script = {path.name: period_in_script(text) for path, text in _read_scripts(folder)}
+    periods = {name: x for name, x in by_script.items() if x and SHORTEST_DT <= x <= LONGEST_DT}
     if len({*periods.values()}) != 1:
         return None
     name, period = next(iter(periods.items()))
