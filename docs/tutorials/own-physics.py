@@ -321,13 +321,13 @@ plt.show()
 #
 # ## Add the force
 #
-# You can try a force without changing the file. The setting `model.forces` adds a force of the
-# package by its name, here dry friction of the coordinate `x`. The names are in [Recipes and
+# You can try a force without changing the file. A name behind the recipe adds a force of the
+# package, here dry friction of the coordinate `x`. The names are in [Recipes and
 # training](../reference/training.md#forces-that-are-missing).
 
 # %% language="bash"
-# tustinnet fit LOGS --recipe grey --system cart.py --out rubbing --quiet \
-#     --set model.fixed.rod_mass=0.2 --set 'model.forces=["coulomb:x"]'
+# tustinnet fit LOGS --recipe "grey + coulomb:x" --system cart.py --out rubbing --quiet \
+#     --set model.fixed.rod_mass=0.2
 
 # %% [markdown]
 # The RMSE of the free runs is now a few thousandths instead of 0.07, and the standard errors of the

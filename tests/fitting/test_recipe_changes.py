@@ -206,5 +206,15 @@ def test_a_mapping_is_as_moderate_as_a_file():
         tn.read_recipe({**SMALL, "velocity": 10**5000})
 
 
+def test_forces_behind_a_name_are_added_to_the_models_own():
+    recipe = tn.read_recipe("mechanism + lag+coulomb:theta")
+    assert recipe.name == "mechanism + lag + coulomb:theta"
+    assert recipe.content["model"]["forces"] == ["coulomb", "lag", "coulomb:theta"]
+    with pytest.raises(tn.InputError, match=r"'model.forces', and forces in 'mechanism \+ lag'"):
+        tn.read_recipe("mechanism + lag", 'model.forces=["spring"]')
+    with pytest.raises(tn.InputError, match=r"recipe 'network \+ lag', model.forces: unknown key"):
+        tn.read_recipe("network + lag")
+
+
 def test_a_single_change_needs_no_list():
     assert tn.read_recipe("grey", "search.iterations=7").search.iterations == 7  # pyright: ignore[reportAttributeAccessIssue]

@@ -199,7 +199,7 @@ def test_packaged_plans_begin_with_forces_where_they_tell_all_parameters(plan):
     assert all(c.begins_with for c in grey)
     names, sentences = applicable(plan, CREEPING)
     assert "inverse-dynamics" not in names
-    assert "grey-box" in names
+    assert "best-grey" in names
     assert "left out, no inverse dynamics of a system with internal states: inv" in sentences
     names, sentences = applicable(plan, None)
     assert "inverse-dynamics" not in names

@@ -225,7 +225,7 @@ def test_a_mechanism_of_too_many_coordinates_is_left_out_before_anything_is_fitt
     assert not [c.name for c in candidates if "mechanism" in c.name or "hybrid" in c.name]
     (reason,) = [str(line) for line in left_out if "coordinates" in str(line)]
     assert "7 coordinates; expected 6 at most" in reason
-    assert reason.endswith(": mechanism, mechanism + end stops")
+    assert reason.endswith(": mechanism, mechanism + end_stops")
 
 
 # --- what is written and told ---

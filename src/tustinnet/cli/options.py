@@ -86,8 +86,8 @@ def recipe(default: str) -> Any:
     return typer.Option(
         metavar="NAME|FILE",
         autocompletion=completion.recipe,
-        help="How the model is built and fitted: a packaged recipe, or a TOML file. "
-        f"Default: {default}.",
+        help="How the model is built and fitted: a packaged recipe, or a TOML file; "
+        f"with more forces as 'mechanism + lag'. Default: {default}.",
     )
 
 

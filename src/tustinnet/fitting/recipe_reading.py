@@ -22,13 +22,21 @@ def is_published(recipe: Recipe) -> bool:
     return recipe.name in list_packaged([PUBLICATION])
 
 
+def split_forces(which: str) -> tuple[str, list[str]]:
+    """The name or file of a recipe, and the forces after it: `NAME + FORCE + FORCE`."""
+    parts = [which] if which.endswith(".toml") else which.split("+")
+    name, *forces = (part.strip() for part in parts)
+    return name, forces
+
+
 def read_recipe(
     which: "str | Path | Mapping[str, Any] | Recipe", changes: Sequence[str] | str = ()
 ) -> Recipe:
     """A packaged recipe by name, or a recipe from a TOML file or a mapping.
 
     Args:
-        which: the recipe.
+        which: the recipe; behind a name or file, forces that its model has beside its own, as
+            `mechanism + lag`.
         changes: one or several of `KEY=VALUE`, the key with dots between tables, as
             `stages.0.epochs=20` or, in all stages, `stages.*.epochs=20`; the value as TOML has it,
             text also without quotes.
@@ -37,6 +45,7 @@ def read_recipe(
         InputError: no such recipe; an unknown key, one that is changed twice, or a wrong value.
     """
     changes = [changes] if isinstance(changes, str) else changes
+    forces = list[str]()
     keys = [change.partition("=")[0].strip() for change in changes]
     for i, key in enumerate(keys):
         if key in keys[:i]:
@@ -49,7 +58,15 @@ def read_recipe(
         require_plain(which, "recipe")
         content, where = deepcopy(dict(which)), "recipe"
     else:
-        content, where = read_packaged(which, RECIPE_HOMES)
+        name, forces = split_forces(str(which))
+        content, where = read_packaged(name, RECIPE_HOMES)
+        if forces:
+            where = f"recipe '{which}'"
+            content["name"] = " + ".join((content.get("name", name), *forces))
+            model = content.setdefault("model", {})
+            model["forces"] = [*model.get("forces", ()), *forces]
+    if forces and "model.forces" in keys:
+        raise InputError("`changes=`", f"'model.forces', and forces in '{which}'", "one of them")
     for change in changes:
         _apply_change(content, change)
     return declare_recipe(content, where)

@@ -1,8 +1,9 @@
 """Plan files: the candidates that are worth trying, and how they are compared, as data."""
 
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -16,7 +17,7 @@ from tustinnet.data.declaration import (
 )
 from tustinnet.errors import InputError
 from tustinnet.fitting.recipe import Horizon, IdentificationRecipe, Recipe
-from tustinnet.fitting.recipe_reading import read_recipe
+from tustinnet.fitting.recipe_reading import read_recipe, split_forces
 from tustinnet.simulate.starts import start_named
 
 USUAL = "usual"  # the plan where nobody names one
@@ -28,8 +29,8 @@ class Candidate(Declaration):
     """A recipe that is worth trying.
 
     Attributes:
-        name: what it is called in tables and folders.
-        recipe: a packaged recipe, or a TOML file.
+        name: what it is called in tables and folders; the recipe where none is given.
+        recipe: a packaged recipe, or a TOML file, as `read_recipe` takes it.
         set: changes of the recipe, `KEY=VALUE` as the command takes them.
         corrects: candidates whose models are what a recipe that corrects physics corrects: in
             every fold the one of them that is best so far.
@@ -49,6 +50,12 @@ class Candidate(Declaration):
     set: tuple[str, ...] = ()
     corrects: tuple[str, ...] = ()
     begins_with: tuple[str, ...] = ()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _name_by_recipe(cls, content: Any) -> Any:
+        has_name = not isinstance(content, Mapping) or "name" in content
+        return content if has_name else {"name": content.get("recipe"), **content}
 
     @cached_property
     def content(self) -> Recipe:
@@ -150,7 +157,7 @@ def read_plan(which: "str | Path | SelectionPlan") -> SelectionPlan:
             folder = Path(which).parent
             candidates = tuple(
                 c.model_copy(update={"recipe": str(folder / c.recipe)})
-                if c.recipe.endswith(".toml")
+                if split_forces(c.recipe)[0].endswith(".toml")
                 else c
                 for c in plan.candidates
             )
