@@ -91,7 +91,7 @@ IDENTIFICATION = {
     "vanished misfit": warning(
         "{parameters:quoted}: 0, their lower bound; that says nothing of the machine as long as "
         "the model does not follow the records",
-        "XX",
+        "[[{advises_forces}try a force behind the recipe's name: '+ constant' or '+ curve']]",
     ),
     "wider ranges": note(
         "a system file moves bounds: {call}; values that then go on to the new bound say that the "

@@ -233,7 +233,7 @@ def parse_candidates(system: LagrangianSystem, names: Sequence[str]) -> tuple[Pl
                 CANDIDATES,
                 f"'{force}', whose parameters do not all multiply a force",
                 "a force that does not depend on inputs and is linear in its parameters",
-                f"ask for it by `changes=` 'model.forces=[\"{force}\"]'",
+                f"ask for it behind the recipe's name: '+ {force}'",
             )
     return forces
 
