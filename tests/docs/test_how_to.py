@@ -191,11 +191,14 @@ def test_a_wheel_is_identified_from_its_speed(tmp_path, monkeypatch, capsys):
     (tmp_path / "wheel.py").write_text(written("speed-only", "The system file", "python"))
     data, system = tn.load("WHEEL"), tn.load_system("wheel.py")
     command = written("speed-only", "The system file", "sh")
-    lag, begin = re.findall(r"--set '(.*?)'", command)
+    [recipe], [begin] = (
+        re.findall('--recipe "(.*?)"', command),
+        re.findall("--set '(.*?)'", command),
+    )
     held_out = [e for e in data if e.split == "validation"]
     noise, errors = 2.0 * 2 * np.pi / 60, []
-    for changes in ([lag, begin], []):
-        result = tn.identify(data, system, tn.read_recipe("grey", changes))
+    for name, changes in ((recipe, begin), ("grey", ())):
+        result = tn.identify(data, system, tn.read_recipe(name, changes))
         runs = tn.free_run(result.model, held_out, "derived-6")
         wrong = [x[:, 0] - e.q[:, 0] for x, e in zip(runs, held_out, strict=True)]
         errors.append(float(np.mean([np.sqrt(np.mean(x**2)) for x in wrong])))
