@@ -46,6 +46,8 @@ NAMES = [
     ("Tcoil_C", "other", "degC", False),
     ("tau_c", "torque", "", False),
     ("angle_squared", "other", "", False),
+    ("en1angle", "position", "", False),
+    ("Motor Torque A", "torque", "", False),
 ]
 
 

@@ -922,3 +922,46 @@ def test_answers_that_say_nothing_are_refused(
     twins(tmp_path)
     with pytest.raises(tn.InputError, match=message):
         tn.draft(tmp_path, answers)
+
+
+def test_letters_say_which_of_several_alike(tmp_path: Path) -> None:
+    legs = [moved_by(levels(k)) for k in (1, 2)]
+    columns = {f"Leg Angle {x}": legs[k][0] for k, x in enumerate("AB")}
+    columns |= {f"Motor Torque {x}": levels(k + 1) for k, x in enumerate("AB")}
+    columns |= {f"Motor Current {x}": levels(k + 1) / 8.5 for k, x in enumerate("AB")}
+    made = draft(tmp_path, columns)
+    assert {c.column for c in made.choice.coordinates} == {"Leg Angle A", "Leg Angle B"}
+    assert len({i.column.split()[1] for i in made.choice.inputs}) == 1
+    assert read_name("Motor Torque A").unit == ""
+
+
+def test_two_directions_of_a_free_pendulum_are_positions_and_no_inputs(tmp_path: Path) -> None:
+    angle = 1.2 * np.cos(3 * DT * np.arange(N)) * np.exp(-0.05 * DT * np.arange(N))
+    made = draft(tmp_path, {"x": 0.6 * np.sin(angle), "y": -0.6 * np.cos(angle)})
+    assert [c.column for c in made.choice.coordinates] == ["x", "y"]
+    assert not made.choice.inputs
+
+
+def test_a_tilt_of_more_than_half_a_turn_is_in_degrees(tmp_path: Path) -> None:
+    u = levels(3)
+    q = moved_by(u)[0]
+    made = draft(tmp_path, {"pitch": 6 * q / np.ptp(q), "u": u})
+    assert [c.unit for c in made.choice.coordinates] == ["deg"]
+
+
+def test_numbers_in_brackets_of_a_text_are_no_elements(tmp_path: Path) -> None:
+    servos = {f"pos ({k})": moved_by(levels(k))[0] for k in (3, 5)}
+    servos |= {f"pwm ({k})": levels(k) for k in (3, 5)}
+    made = draft(tmp_path, servos)
+    assert [c.column for c in made.choice.coordinates] == ["pos (3)", "pos (5)"]
+    assert [i.column for i in made.choice.inputs] == ["pwm (3)", "pwm (5)"]
+
+
+def test_a_table_beside_the_logs_says_units(tmp_path: Path) -> None:
+    (tmp_path / "format.md").write_text(
+        "| no | name | unit |\n|-|-|-|\n| 1 | `y` | mm |\n| 2 | `u` | A |"
+    )
+    u = levels(4)
+    made = draft(tmp_path, {"y": moved_by(u)[0], "u": u})
+    assert [(c.column, c.unit) for c in made.choice.coordinates] == [("y", "mm")]
+    assert [i.unit for i in made.choice.inputs] == ["A"]

@@ -142,6 +142,8 @@ class Columns:
 
     def _match_element(self, name: str) -> re.Match[str] | None:
         signal = _SIGNAL.match(name)
+        if self.rows is not None:  # a text has no arrays: `pos (3)` is a column
+            return None
         if signal is not None and f"{signal['export']}.time" in self.names:
             return None
         match = _ELEMENT.fullmatch(name)

@@ -490,9 +490,11 @@ def find_descriptions(lines: Sequence[str], names: Collection[str]) -> dict[str,
             plain = _LIST_MARK.sub("", line).strip()
             cells = [c.strip(_MARKUP) for c in _IS.split(plain, maxsplit=1)]
         cells = cells[cells[0].isdigit() :]
-        if len(cells) > 1 and cells[0] in names and cells[1]:
-            unit = next((f" [{cell}]" for cell in cells[2:] if cell and is_unit(cell)), "")
-            texts.setdefault(cells[0], cells[1] + unit)
+        if cells and cells[0] in names and any(cells[1:]):
+            units = [cell for cell in cells[1:] if cell and is_unit(cell)]
+            words = [cell for cell in cells[1:] if cell and cell not in units]
+            unit = f" [{units[0]}]" if units else ""
+            texts.setdefault(cells[0], (words[0] if words else "") + unit)
     return texts if len(texts) >= max(2, len(names) / 3) else {}
 
 

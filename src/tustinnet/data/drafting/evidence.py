@@ -280,6 +280,7 @@ class EvidenceTable:
         is_copy: whether two columns differ by rounding only, apart from unit and zero.
         signal: the first of the columns that are copies of one another, for each.
         sums: columns of which two add up to the third.
+        is_on_circle: whether two are the directions of a point on a circle.
         is_silent: whether a name says nothing where another one states a motion.
         is_free: whether a position moves others and is moved by nothing.
         blocks: of columns without names, positions and their velocities, see `find_blocks`.
@@ -336,6 +337,7 @@ class EvidenceTable:
         gains, moves_at_once = find_causes(records)
         push = np.minimum(WEIGHTS.cause, 2 * np.log10(1 + 100 * gains))
         self.cause = push - WEIGHTS.back * push.T
+        self.is_on_circle = np.zeros_like(self.is_copy)
         self._add_circles(records)
         self._add_quaternions(records)
         self._add_errors(records, sums)
@@ -361,8 +363,11 @@ class EvidenceTable:
 
     @np.errstate(all="ignore")  # of columns that stand still in the samples that are compared
     def _add_circles(self, records: Sequence[Table]) -> None:
-        """Evidence against the two directions of a point on a circle whose angle is there, too."""
-        w = WEIGHTS
+        """Evidence on two directions of a point on a circle.
+
+        Alone they are no inputs, and beside the angle they are not used.
+        """
+        w, named = WEIGHTS, {k for k in range(len(self.names)) if self.says(k, "position")}
         for i, j in itertools.permutations(range(len(self.names)), 2):
             points = [(r[:, i], r[:, j]) for r in records]
             radii = [np.hypot(x, y) for x, y in points]
@@ -371,6 +376,9 @@ class EvidenceTable:
                 for radius, (x, y) in zip(radii, points, strict=True)
             ):
                 continue
+            if {i, j} == named:
+                self.is_on_circle[i, j] = True
+                self.own[i].append(Evidence("input", -w.useless, ""))
             angle = np.concatenate([np.unwrap(np.arctan2(y, x)) for x, y in points])
             for k in range(len(self.names)):
                 values = np.concatenate([r[:, k] for r in records])
@@ -504,13 +512,13 @@ class EvidenceTable:
         )
         commands = np.array([r.qualifier == "command" for r in self.readings])
         leads = self.follow > 0
-        is_own = self.is_copy | leads | (self.slope > 0) | (self.slope.T > 0)
+        is_own = self.is_copy | self.is_on_circle | leads | (self.slope > 0) | (self.slope.T > 0)
         is_own |= (says["velocity"] | says["acceleration"])[:, None]
         pushed = np.where(is_own & ~says["input"][:, None], 0.0, push).max(axis=0)
         has_goal = (leads & commands[:, None]).any(axis=0)
         family = np.array(self.family)
         moves = (push > w.moved) & positions & (family[:, None] != family) & ~moves_at_once
-        moves &= ~np.outer(has_goal, has_goal)
+        moves &= ~np.outer(has_goal, has_goal) & ~self.is_on_circle
         self.is_free = positions & ~commands & (pushed < w.unmoved) & moves.any(axis=1)
         for i in np.flatnonzero(self.is_free).tolist():
             j = int(np.argmax(np.where(moves[i], push[i], 0.0)))
@@ -584,8 +592,12 @@ def find_families(
     for i, reading in enumerate(readings):
         plain = [w for w in reading.words if not w.isdigit() and w not in ("x", "y", "z")]
         plain = [w for w in plain if w not in AXES] or plain
+        which = [w for w in plain[1:] if len(w) == 1 and w in places]  # `motor angle A`
         marks = [w for w in plain if w in known or (len(w) <= 2 and w not in places)]
-        key = (*(marks or plain), reading.unit) if plain else (str(i),)
+        marks = [w for w in marks if w not in which]
+        # one letter may also say which, as in `current A` beside `current B`
+        unit = reading.unit if reading.in_brackets or len(reading.unit) > 1 else ""
+        key = (*(marks or plain), "#" * len(which), unit) if plain else (str(i),)
         groups.setdefault(key, []).append(i)
     families = [*range(len(readings))]
     for members in groups.values():

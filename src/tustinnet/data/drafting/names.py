@@ -160,7 +160,8 @@ class NameReading:
         """
         described = read_name(text)
         if described.quantities and not self.stated(self.quantities):
-            return replace(described, name=self.name)
+            qualifier = described.qualifier or self.qualifier
+            return replace(described, name=self.name, qualifier=qualifier)
         has_unit = described.unit and described.in_brackets and not self.unit
         return read_name(self.name, described.unit) if has_unit else self
 
@@ -344,7 +345,8 @@ def _split_compound(word: str) -> list[str]:
     rest = word.removesuffix(end)
     rest = rest[:-1] if rest[:-1] in _VOCABULARY else rest  # without the s that joins them
     # beside a part of a few letters there must be a word: `sollweg` has two, `kolben` is none
-    is_part = rest in _VOCABULARY or rest in ("x", "y", "z") or min(len(rest), len(end) - 1) > 3
+    is_known = rest in _VOCABULARY or rest in ("x", "y", "z") or rest.isdigit()  # `en1angle`
+    is_part = is_known or min(len(rest), len(end) - 1) > 3
     return [rest, end] if is_part else [word]
 
 
@@ -377,18 +379,20 @@ def _is_unit(ending: str, before: Sequence[str]) -> bool:
     """Whether a last word is a unit: one letter may be a name's, as in `q_m`, `enc_a`, `gear_s`.
 
     It is a unit behind a word of its quantity, and one of an input or a length behind a word that
-    says no motion, as in `motor_v`, `rail_m`.
+    states no other quantity, as in `motor_v`, `rail_m`.
     """
     if len(ending) > 1:
         return ending not in _NO_ENDINGS
     symbol = next((word for word in reversed(before) if not word.isdigit()), "")  # `i2_A`
     if symbol in _UNITS:
         return False  # `Ink_M`, counts of a motor
-    quantity, named_quantities = _UNITS[ending][1], {q for q, _ in _MEANINGS.get(symbol, [])}
+    quantity, meanings = _UNITS[ending][1], dict(_MEANINGS.get(symbol, []))
+    named_quantities = {*meanings}
     if quantity in named_quantities:
         return symbol not in ("q", *ANGULAR)
     is_motion = bool(named_quantities & {"position", *_RATES})
+    is_other = any(meanings.get(q, 0.0) >= _STATED for q in ("torque", "force", "current"))
     if ending == "c":  # `Tcoil_C`
         return symbol.startswith("t") and not named_quantities
-    is_possible = not named_quantities if ending == "m" else quantity in INPUTS and not is_motion
-    return is_possible and len(symbol) > 1
+    is_input = quantity in INPUTS and not (is_motion or is_other)
+    return (not named_quantities if ending == "m" else is_input) and len(symbol) > 1

@@ -29,6 +29,7 @@ _MOST_RADIANS = 20.0  # an angle without a unit that moves farther is in degrees
 _MOST_METRES = 5.0  # a length without a unit that moves farther is in mm
 _OVERFLOWS = (2.0**16, 2.0**32)  # where counters start again, not encoders
 _ENCODERS = {"encoder", "encoders", "enc", "geber", "drehgeber", "resolver"}
+_TILTS = {"pitch", "roll", "tilt"}  # against gravity, by less than half a turn
 _UNITS_TO_CHOOSE = ("rad", "deg", "rev", "counts", "m", "mm")
 _SENSORS = {"tacho", "tachometer", "gyro", "imu", "resolver", "drehrate"}
 
@@ -277,6 +278,8 @@ def _unit_by_size(
     of_kind = [n for n in findings.columns("position") if kind and _is_of_kind(n, kind, findings)]
     largest = max(findings.numbers[n].largest for n in (column, *of_kind))
     unit, is_clear = usual_unit(numbers, largest, kind or "angular")
+    if unit == "rad" and largest > np.pi and _TILTS & {*findings.readings[column].words}:
+        unit, is_clear = "deg", True
     reason = f"in {unit} by its range {range_text(numbers)}"
     # controllers of drives give the position of an encoder in turns, or in units of the machine
     is_of_encoder = bool(_ENCODERS & {*findings.readings[column].words})

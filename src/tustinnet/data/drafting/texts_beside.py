@@ -15,7 +15,7 @@ from tustinnet.data.text_rate import period_in_script
 from tustinnet.errors import InputError
 
 _LONGEST = 100_000  # characters of a text
-_README, _SCRIPTS = ("[Rr][Ee][Aa][Dd][Mm][Ee]*",), ("*.m", "*.py")
+_README, _SCRIPTS = ("[Rr][Ee][Aa][Dd][Mm][Ee]*", "*.md"), ("*.m", "*.py")
 _TEXT = r"""(?:"[^"\n]*"|'[^'\n]*')"""
 _COLUMN_OF_MATRIX = re.compile(r"\w+\[\d+\]")
 # `{'time', 'voltage', 'angle'}`, but what a legend has
@@ -89,7 +89,7 @@ def _describe(
 
 def _read(folder: Path, patterns: Sequence[str]) -> Iterator[tuple[Path, str]]:
     """The texts in a folder whose names are like these."""
-    for path in sorted(path for pattern in patterns for path in folder.glob(pattern)):
+    for path in sorted({path for pattern in patterns for path in folder.glob(pattern)}):
         if not path.is_file():  # a pipe would be waited for
             continue
         with suppress(OSError, InputError):
