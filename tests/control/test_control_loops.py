@@ -144,6 +144,24 @@ def test_a_goal_that_is_not_met_says_why(voltage, start, goal, end, sentence):
     assert outcome.time_to_reach is None
 
 
+class Alternating(Constant):
+    """One input, then the other one, for a sample each."""
+
+    def inputs(self, k, x):
+        return (-1) ** k * super().inputs(k, x)
+
+
+def test_inputs_that_jump_between_their_limits_hold_nothing():
+    model = example("qube")
+    estimator, plant = ExtendedKalmanFilter(model, NOISE), ModelPlant(model)
+    goal = Goal({"alpha": np.pi}, {"alpha": 0.3}, hold=1.0)
+    begin = np.array([0.0, np.pi])
+    run = closed_loop(plant, Alternating(2.0), estimator, 200, begin, 0, goal)
+    assert run.outcome is not None
+    assert run.outcome.end == "swings"
+    assert "inputs swing between limits" in run.outcome.sentence
+
+
 def test_what_is_reached_late_is_held_for_as_long_as_it_is_to_be():
     model = example("qube")
     estimator, plant = ExtendedKalmanFilter(model, NOISE), ModelPlant(model)

@@ -22,7 +22,10 @@ from tustinnet.control import (
     time_varying_lqr,
 )
 from tustinnet.control.dynamics import controlled
+from tustinnet.control.lqr import loop_without_friction
+from tustinnet.control.sticking import sticking_distances
 from tustinnet.models import forces
+from tustinnet.simulate.filtering import FilterNoise
 from tustinnet.simulate.range import Range
 from tustinnet.systems.library.link_chain import TWO_LINKS
 
@@ -324,3 +327,66 @@ def test_the_operating_point_may_be_an_equilibrium_with_inputs():
     controller = LinearFeedback(lqr(model, point.x, point.u))
     states = play(model, controller, point.x + np.array([0.1, 0.1, 0, 0]), 500)
     np.testing.assert_allclose(states[-1], point.x, atol=1e-3)
+
+
+def test_an_estimator_in_the_loop_makes_its_margins_smaller():
+    model = double_integrator()
+    feedback = lqr(model, np.zeros(2), np.zeros(1))
+    noise = FilterNoise(np.ones(2), np.array([1e-3, 1e-2]), np.array([1e-2]))
+    known, found = margins(model, feedback), margins(model, feedback, noise)
+    assert (known.has_estimator, found.has_estimator) == (False, True)
+    assert found.inputs[0].delay < known.inputs[0].delay
+
+    def last(factor):
+        """The state after many periods, with a filter over the model and a stronger input."""
+        p, x, estimate, shown = np.eye(2), np.ones(2), np.zeros(2), np.eye(1, 2)
+        for _ in range(6000):
+            k = p @ shown.T / (shown @ p @ shown.T + noise.measured[0] ** 2)
+            estimate = estimate + k @ (shown @ (x - estimate))
+            u = -feedback.gain @ estimate
+            x = model.a @ x + model.b @ (factor * u)
+            estimate = model.a @ estimate + model.b @ u
+            p = model.a @ (p - k @ shown @ p) @ model.a.T + np.diag(noise.process**2)
+        return np.abs(x).max()
+
+    gain = found.inputs[0].gain_up
+    assert last(0.98 * gain) < 0.1 < last(1.02 * gain)
+
+
+class _Rubbing(LinearMachine):
+    """Two masses on a damped shaft; both rub, and the first one is driven."""
+
+    def step(self, x, u):
+        shaft = 200 * (x[1] - x[0]) + 0.1 * (x[3] - x[2])
+        dry = 0.5 * jnp.tanh(x[2:] / 1e-3)
+        v = x[2:] + 0.01 * (jnp.array([1.0, -1.0]) * shaft - dry + jnp.array([1.0, 0.0]) * u)
+        return jnp.concatenate([x[:2] + 0.01 * v, v])
+
+
+def rubbing_masses():
+    coordinates = (tn.Coordinate("motor", "linear"), tn.Coordinate("load", "linear"))
+    channels = tn.Channels(coordinates, (tn.Input("u", "N", None, (-50.0, 50.0)),), 0.01)
+    return _Rubbing(np.eye(4), np.zeros((4, 1)), channels)
+
+
+def test_feedback_needs_no_dry_friction_to_be_stable():
+    model = rubbing_masses()
+    feedback = lqr(model, np.zeros(4), np.zeros(1), deviations={"load": 0.02})
+    assert not margins(model, feedback).needs_friction
+    without = loop_without_friction(controlled(model), feedback.x0, feedback.u0, feedback.speeds)
+    x = np.array([0.0, 0.0, 1.0, 1.0])
+    free = _Rubbing.step(model, 1e3 * x, np.zeros(1)) - 1e3 * x
+    np.testing.assert_allclose(without.a @ x - x, free / 1e3, atol=1e-3)
+    needy = replace(feedback, gain=50 * feedback.gain)
+    with pytest.raises(tn.InputError, match="eigenvalue"):
+        margins(model, needy)
+
+
+def test_masses_on_a_shaft_stick_together():
+    model = rubbing_masses()
+    feedback = lqr(model, np.zeros(4), np.zeros(1), deviations={"load": 0.1})
+    motor, load = feedback.gain[0, :2]
+    # the input gives the friction of both, and the shaft is twisted by that of the load
+    farthest = (0.5 + 0.5 * (1 + motor / 200)) / (motor + load)
+    found = sticking_distances(model, feedback)
+    assert found["load"] == pytest.approx(farthest, rel=0.02)

@@ -328,7 +328,8 @@ def control(
         drawing.write_figure(control_report.closed_loop_figure(design, trial.main_runs), out, LOOP)
         drawing.write_figure(control_report.robustness_figure(trial.robustness), out, ROBUSTNESS)
         allowed = euler_lagrange.draw_values(simulator, header, _DRAWS)
-        responses = tn.control.loop_responses(simulator, design.own_feedback, allowed)
+        noise = design.noise if design.margins.has_estimator else None
+        responses = tn.control.loop_responses(simulator, design.own_feedback, allowed, noise)
         drawing.write_figure(
             control_report.frequency_figure(responses, simulator.channels), out, BODE
         )

@@ -16,8 +16,9 @@ from tustinnet.errors import InputError
 from tustinnet.shown import Brief
 
 Vector = Float[np.ndarray, " _"]
-End = Literal["held", "lost", "never reached", "left its limits", "diverged"]
+End = Literal["held", "swings", "lost", "never reached", "left its limits", "diverged"]
 
+_SWINGS = 0.05  # of the samples while a goal is held at each limit of an input: it never rests
 WINDOW = 0.2  # rad, to both sides of an angle that is to be held
 
 
@@ -245,6 +246,11 @@ def _judge(goal: Goal, channels: Channels, result: ClosedLoopResult, outside: st
     elif outside:
         low, high = goal.limits[outside]
         kind, sentence = "left its limits", f"{outside} left {low:g}..{high:g} at {end:.2f} s"
+    elif len(near) - since > last and _swings(result.inputs, last):
+        kind, sentence = (
+            "swings",
+            f"near from {since * dt:.2f} s on, and inputs swing between limits",
+        )
     elif len(near) - since > last:
         kind, sentence, held = "held", f"held from {since * dt:.2f} s on", since * dt
     elif reached is not None:
@@ -276,6 +282,18 @@ def _first_stay(near: Bool[np.ndarray, " n"], length: int) -> int | None:
     totals = np.cumsum(np.r_[0, near])
     stays = np.flatnonzero(totals[length:] - totals[:-length] == length)
     return int(stays[0]) if len(stays) else None
+
+
+def _swings(u: Float[np.ndarray, "n n_u"], last: int) -> bool:
+    """Whether an input jumps between its limits to the end, as of a loop that never rests.
+
+    Args:
+        u: the inputs of a run.
+        last: samples at its end.
+    """
+    ends = u.min(axis=0), u.max(axis=0)
+    shares = [np.mean(u[-last:] == end, axis=0) for end in ends]
+    return bool((np.minimum(*shares) > _SWINGS)[np.ptp(u, axis=0) > 0].any())
 
 
 def _saturated(u: Float[np.ndarray, "n n_u"]) -> float:

@@ -52,7 +52,7 @@ class DesignDefaults(NamedTuple):
         planned: share of the inputs' limits that a plan uses: the rest is for its feedback.
         followed: acceptable deviation from a reference, as a share of its range.
         window: deviation within which a position counts as held, as a share of its recorded
-            range; of an angle at most 0.2 rad.
+            range; of an angle at most 0.2 rad, and of any its acceptable deviation.
         unknown_window: this deviation of a length whose range is not known [m].
         hold: periods for which a goal is to be held, where these are shorter than usual.
         settling: time constants of the slowest mode of a loop in which it comes to its point.
@@ -128,7 +128,8 @@ class ControlDesign:
         start: the equilibrium from which the motion begins, None without a motion.
         gains: the feedback, along the plan where there is one.
         mpc: the predictive controller that begins with this feedback, None without one.
-        margins: of the loop about the equilibrium.
+        margins: of the loop about the equilibrium; where disturbances are estimated with all states
+            known.
         noise: the noise of the estimator.
         consistency: tests of the estimator along records, None without records.
         goal: what counts as success.
@@ -265,10 +266,9 @@ def design_controller(
     feedback = make_feedback(
         point.x, point.u, deviations=own | sums, integral=task.integral, safe=task.safe
     )
-    loop_margins = margins(model, feedback)
     goal = Goal(
         task.at,
-        _windows(model, task.at, range),
+        _windows(model, task, range),
         min(Goal.hold, DESIGN.hold * model.dt),
         _position_limits(model, task),
     )
@@ -295,7 +295,7 @@ def design_controller(
                 "record such motions, limit it (`within=`, `limits=`), or add `trust_beyond=`",
             )
         if torque is not None:
-            gains, loop_margins = torque, margins(model, torque.final)
+            gains, feedback = torque, torque.final
         else:
             # along the plan errors are not integrated; from its end on they are
             final = feedback
@@ -318,6 +318,7 @@ def design_controller(
     on_message("estimator")
     noise = find_noise(estimated, records) if records else usual_noise(estimated, range)
     consistency = check_filter(estimated, records, noise) if records else None
+    loop_margins = margins(model, feedback, None if task.observer else noise)
     return ControlDesign(
         model,
         estimated,
@@ -579,14 +580,14 @@ def _usual_duration(start: OperatingPoint, moved: Sequence[str]) -> float:
     return float(np.clip(DESIGN.swings * slowest, DESIGN.shortest, DESIGN.longest))
 
 
-def _windows(model: Model, at: Mapping[str, float], range: Range | None) -> dict[str, float]:
+def _windows(model: Model, task: ControlTask, range: Range | None) -> dict[str, float]:
     """Distances within which a position counts as held, by name."""
     channels = model.channels
     unknown = np.where(channels.angular, WINDOW, DESIGN.unknown_window)
     windows = unknown if range is None else range.share_of_spans(DESIGN.window, channels, WINDOW)
     windows = np.where(windows > 0, windows, unknown)
-    names = [c.name for c in channels.coordinates]
-    return {n: float(w) for n, w in zip(names, windows, strict=True) if n in at}
+    named = {c.name: float(w) for c, w in zip(channels.coordinates, windows, strict=True)}
+    return {n: min(named[n], task.deviations.get(n, np.inf)) for n in task.at}
 
 
 def _position_limits(model: Model, task: ControlTask) -> dict[str, tuple[float, float]]:

@@ -8,9 +8,16 @@ from jaxtyping import Complex, Float
 
 from tustinnet.control.dynamics import controlled
 from tustinnet.control.lqr import Feedback, loop_matrices
-from tustinnet.control.margins import open_loop, sensitivity, usual_frequencies
+from tustinnet.control.margins import (
+    filter_gain,
+    open_loop,
+    sensitivity,
+    usual_frequencies,
+    with_filter,
+)
 from tustinnet.models.contract import Model
 from tustinnet.shown import Brief
+from tustinnet.simulate.filtering import FilterNoise
 
 
 @dataclass(frozen=True, repr=False)
@@ -35,13 +42,17 @@ class LoopResponses(Brief):
 
 
 def loop_responses(
-    model: Model, feedback: Feedback, values: Sequence[Mapping[str, float]] = ()
+    model: Model,
+    feedback: Feedback,
+    values: Sequence[Mapping[str, float]] = (),
+    noise: FilterNoise | None = None,
 ) -> LoopResponses:
-    """Responses of linear feedback about its operating point, all states known.
+    """Responses of linear feedback about its operating point; steps with all states known.
 
     Args:
         model: the model.
         feedback: the feedback.
+        noise: of a filter that is in the loop, as `margins` has it.
         values: values of the model's parameters for further loops, as they are drawn from the
             errors of the identification.
     """
@@ -53,6 +64,10 @@ def loop_responses(
     # ten times the time constant of the slowest mode
     seconds = min(5.0, -10.0 * dt / np.log(slowest))
     times, frequencies = dt * np.arange(round(seconds / dt) + 1), usual_frequencies(dt)
+    gain = None if noise is None else filter_gain(loops[0], noise)
+    if gain is not None:
+        pairs = [with_filter(loops[0], feedback, gain, plant) for plant in loops]
+        loops, feedback = [loop for loop, _ in pairs], pairs[0][1]
     broken = [[open_loop(loop, feedback, j) for j in range(system.n_u)] for loop in loops]
     return LoopResponses(
         frequencies,

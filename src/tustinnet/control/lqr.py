@@ -26,6 +26,7 @@ from tustinnet.shown import Brief
 from tustinnet.simulate.filtering import checked_vector
 from tustinnet.simulate.range import Range
 
+_FAST = 10.0  # times usual speeds: of motions that dry friction hardly damps
 _DEVIATION_SECONDS = (
     1.0  # for which a position may stay at its deviation, where its integral has no weight
 )
@@ -296,7 +297,8 @@ def hold(
     The model is linearised in the mean over a tenth of the acceptable speeds, where dry friction is
     a force and not the huge viscous friction that it looks like at rest. Where it still rules, a
     joint without an input seems stuck to the next one, and feedback for that drives a moving
-    machine away. So the speeds are doubled until feedback serves motions twice as fast, too.
+    machine away. So the speeds are doubled until feedback serves motions twice as fast, too, and is
+    stable without the damping that dry friction is to small motions.
 
     Args:
         system: the model.
@@ -336,7 +338,9 @@ def hold(
         faster = solve(2 * holding.speeds)
         # feedback that costs no more in motions twice as fast serves both, see
         # docs/explanation/control.md
-        if cost(faster.matrices, holding.gain) <= 1.25 * mean_cost(faster.value):
+        is_good = cost(faster.matrices, holding.gain) <= 1.25 * mean_cost(faster.value)
+        undamped = loop_without_friction(system, x, u, holding.speeds, integral)
+        if is_good and np.isfinite(cost(undamped, holding.gain)):
             break
         holding = faster
     return holding
@@ -363,6 +367,23 @@ def loop_matrices(
     # integrals stand between the states and the previous commands
     order = [*range(n_x), *range(system.size, len(a)), *range(n_x, system.size)]
     return LoopMatrices(a[np.ix_(order, order)], b[order])
+
+
+def loop_without_friction(
+    system: ControlledModel,
+    x: Float[np.ndarray, " n_x"],
+    u: Float[np.ndarray, " n_u"],
+    speeds: Float[np.ndarray, " n_q"],
+    integral: Sequence[int] = (),
+) -> LoopMatrices:
+    """`loop_matrices` of motions that are so large that dry friction does not damp them.
+
+    In the mean over motions its damping falls as their speeds grow, so two of them say the limit.
+    """
+    usual, fast = (loop_matrices(system, x, u, k * speeds, integral) for k in (1.0, _FAST))
+    return LoopMatrices(
+        *((_FAST * f - one) / (_FAST - 1) for one, f in zip(usual, fast, strict=True))
+    )
 
 
 def _riccati_solution(

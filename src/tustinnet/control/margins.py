@@ -1,16 +1,18 @@
 """Margins of a feedback loop: how far it is from being unstable."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg
 from jaxtyping import Complex, Float
 
 from tustinnet.control.dynamics import controlled
-from tustinnet.control.lqr import Feedback, LoopMatrices, loop_matrices
+from tustinnet.control.lqr import Feedback, LoopMatrices, loop_matrices, loop_without_friction
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
+from tustinnet.simulate.filtering import FilterNoise
 
 _POLE = -1 / np.sqrt(np.finfo(float).eps)  # responses beyond are those at a pole, but for rounding
 
@@ -50,23 +52,30 @@ class Margins:
             frequencies; 1 / peak is the distance of the loop from the point -1.
         peak_frequency: the frequency of that peak [rad/s].
         slowest: time constant of the closed loop's slowest mode [s].
+        has_estimator: whether an estimator is in the loop; else all states are known.
+        needs_friction: whether large motions, which dry friction does not damp, would grow.
     """
 
     inputs: tuple[InputMargins, ...]
     sensitivity_peak: float
     peak_frequency: float
     slowest: float
+    has_estimator: bool = False
+    needs_friction: bool = False
 
 
-def margins(model: Model, feedback: Feedback) -> Margins:
+def margins(model: Model, feedback: Feedback, noise: FilterNoise | None = None) -> Margins:
     """Margins of linear feedback about its operating point.
 
-    The loop is that of model and state feedback, delays and integral action included. An estimator
-    in the loop makes them smaller.
+    The loop is that of model and state feedback, delays and integral action included. Margins are
+    the least of two linear models: of usual motions, and of those so large that dry friction does
+    not damp them, where feedback is stable for these.
 
     Args:
         model: the model.
         feedback: the feedback, as `lqr` gives it.
+        noise: of a filter of this model, which then is in the loop and makes the margins smaller;
+            without it, and where a filter never settles, all states are known.
 
     Raises:
         InputError: the loop is unstable without limits.
@@ -81,15 +90,83 @@ def margins(model: Model, feedback: Feedback) -> Margins:
             "below 1",
             "design the feedback on this model",
         )
-    frequencies = usual_frequencies(feedback.dt)
-    inputs = tuple(
-        _input_margins(channel.name, open_loop(loop, feedback, j), frequencies)
-        for j, channel in enumerate(model.channels.inputs)
-    )
-    peaks = sensitivity(loop, feedback, frequencies)
-    highest = int(np.argmax(peaks))
     slowest = -feedback.dt / np.log(largest) if largest else 0.0
-    return Margins(inputs, float(peaks[highest]), float(frequencies[highest]), float(slowest))
+    point = feedback.x0, feedback.u0, feedback.speeds, feedback.integral
+    undamped = loop_without_friction(system, *point)
+    is_stable = np.abs(np.linalg.eigvals(undamped.a - undamped.b @ feedback.gain)).max() < 1
+    frequencies, names = usual_frequencies(feedback.dt), [c.name for c in model.channels.inputs]
+    has_estimator = noise is not None
+    found, peaks = [], []
+    for one in (loop, undamped)[: 1 + is_stable]:
+        gain = None if noise is None else filter_gain(one, noise)
+        has_estimator &= gain is not None
+        whole, acting = (one, feedback) if gain is None else with_filter(one, feedback, gain)
+        peaks.append(sensitivity(whole, acting, frequencies))
+        found.append(
+            [
+                _input_margins(n, open_loop(whole, acting, j), frequencies)
+                for j, n in enumerate(names)
+            ]
+        )
+    highest = int(np.argmax(np.max(peaks, axis=0)))
+    return Margins(
+        tuple(_least(same) for same in zip(*found, strict=True)),
+        float(np.max(peaks)),
+        float(frequencies[highest]),
+        float(slowest),
+        has_estimator=has_estimator,
+        needs_friction=not is_stable,
+    )
+
+
+def _least(found: Sequence[InputMargins]) -> InputMargins:
+    """The least margins of one input in several loops."""
+    return replace(
+        min(found, key=lambda m: m.phase),
+        gain_up=min(m.gain_up for m in found),
+        gain_down=max(m.gain_down for m in found),
+        delay=min(m.delay for m in found),
+    )
+
+
+def filter_gain(loop: LoopMatrices, noise: FilterNoise) -> Matrix | None:
+    """What a filter that has settled adds to its estimates of an innovation, (n_z, n_q).
+
+    Integrals and previous commands are known. None where a filter never settles.
+    """
+    n_x, n_q = len(noise.process), len(noise.measured)
+    a, shown = loop.a[:n_x, :n_x], np.eye(n_q, n_x)
+    measured = np.diag(np.square(noise.measured))
+    try:
+        p = scipy.linalg.solve_discrete_are(
+            a.T, shown.T, np.diag(np.square(noise.process)), measured
+        )
+    except (np.linalg.LinAlgError, ValueError):
+        return None
+    gain = np.linalg.solve(shown @ p @ shown.T + measured, shown @ p).T
+    return np.concatenate([gain, np.zeros((len(loop.a) - n_x, n_q))])
+
+
+def with_filter(
+    loop: LoopMatrices, feedback: Feedback, gain: Matrix, plant: LoopMatrices | None = None
+) -> tuple[LoopMatrices, Feedback]:
+    """A loop and its feedback with a filter that has settled, whose estimates are further states.
+
+    Args:
+        loop: the model.
+        feedback: what acts on the estimates.
+        gain: of the filter.
+        plant: what it is connected to, where that is not the model.
+    """
+    (a, b), k = loop, feedback.gain
+    real = plant or loop
+    known = np.eye(len(a)) - gain @ np.eye(gain.shape[1], len(a))
+    new = np.eye(len(a)) - known
+    estimates = (a - b @ k) @ np.concatenate([new, known], axis=1)
+    joint = np.concatenate([np.concatenate([real.a, np.zeros_like(a)], axis=1), estimates])
+    inputs = np.concatenate([real.b, np.zeros_like(b)])
+    acting = replace(feedback, gain=k @ np.concatenate([new, known], axis=1))
+    return LoopMatrices(joint, inputs), acting
 
 
 def usual_frequencies(dt: float) -> Numbers:

@@ -14,6 +14,8 @@ def sticking_distances(model: Model, feedback: Feedback, delay: int = 0) -> dict
     Models smooth dry friction, so that in their simulations a coordinate creeps on to its goal
     where that of a machine sticks. What is dry shows at the usual speeds for which the feedback was
     designed: the part of an acceleration that changes its sign with the velocity, and not its size.
+    The machine rests wherever that of all coordinates together is as large as what restores them,
+    as of two that a shaft joins.
 
     Args:
         model: the model.
@@ -26,21 +28,24 @@ def sticking_distances(model: Model, feedback: Feedback, delay: int = 0) -> dict
     """
     system, channels = controlled(model, delay), model.channels
     x, u, n_x = feedback.x0[: model.state_size], feedback.u0, model.state_size
-    internal = np.arange(channels.measured.stop, n_x)
+    n_q, speeds = channels.n_q, np.asarray(feedback.speeds)
+    q, v, internal = np.arange(n_q), np.arange(n_q, 2 * n_q), np.arange(channels.measured.stop, n_x)
     a, b = tangent_of_held_inputs(system, x, u, feedback.speeds)
     # internal states, as the lag of an actuator, have come to rest
-    settled = np.linalg.pinv(np.eye(len(internal)) - a[np.ix_(internal, internal)]) @ b[internal]
-    effect = b + a[:, internal] @ settled
-    distances = {}
-    for j, (c, speed) in enumerate(zip(channels.coordinates, feedback.speeds, strict=True)):
-        v = channels.n_q + j
-        if speed <= 0 or j in feedback.integral:
-            continue
+    settled = a[np.ix_(v, internal)] @ np.linalg.pinv(
+        np.eye(len(internal)) - a[np.ix_(internal, internal)]
+    )
+    effect = b[v] + settled @ b[internal]
+    stiffness = a[np.ix_(v, q)] + settled @ a[np.ix_(internal, q)] - effect @ feedback.gain[:, q]
+    dry = np.zeros((n_q, n_q))  # what dry friction at each coordinate is to all of them
+    for j in np.flatnonzero(speeds > 0).tolist():
         at = np.tile(system.augment(x, u), (4, 1))
-        at[:, v] += speed * np.array([1.0, 2.0, -1.0, -2.0])
+        at[:, v[j]] += speeds[j] * np.array([1.0, 2.0, -1.0, -2.0])
         changes = (system.steps(at, np.tile(u, (4, 1))) - at)[:, v]
-        dry = abs(changes @ np.array([2.0, -1.0, -2.0, 1.0])) / 2
-        restoring = abs(effect[v] @ feedback.gain[:, j])
-        if restoring > 0:
-            distances[c.name] = float(dry / restoring)
-    return distances
+        dry[:, j] = np.array([2.0, -1.0, -2.0, 1.0]) @ changes / 2
+    farthest = np.abs(np.linalg.pinv(stiffness) @ dry).sum(axis=1)
+    return {
+        c.name: float(farthest[j])
+        for j, c in enumerate(channels.coordinates)
+        if speeds[j] > 0 and j not in feedback.integral
+    }

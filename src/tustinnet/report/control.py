@@ -74,10 +74,14 @@ def margins_table(design: ControlDesign) -> Table:
         for m in design.margins.inputs
     ]
     peak = design.margins.sensitivity_peak
+    has_estimator = design.margins.has_estimator
+    what = "the loop with its estimator" if has_estimator else "a loop with all states known"
+    if design.margins.needs_friction:
+        what += ", which dry friction has to damp"
     return Table(
         ["loop at", "gain from", "gain to", "phase", "delay", "crossover"],
         rows,
-        title=f"Margins with all states known; peak of the sensitivity {peak:.3g}",
+        title=f"Margins of {what}; peak of the sensitivity {peak:.3g}",
     )
 
 
