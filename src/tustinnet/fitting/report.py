@@ -130,7 +130,7 @@ class ForceError:
     Attributes:
         split: of the records along which it is missing.
         coordinate: the coordinate's name.
-        unit: N m or N.
+        unit: of forces on it.
         cutoff: frequency up to which forces were compared [Hz].
         size: root mean square of the actuators' force; without an actuator, of the forces that the
             motion needs.

@@ -125,7 +125,7 @@ def force_errors_table(errors: Mapping[str, Sequence[ForceError]]) -> Table:
             e.coordinate,
             f"{e.size:.3g} {e.unit}" if e.is_driven else f"none; needs {e.size:.3g} {e.unit}",
             *[
-                "–" if share is None else number(100 * share, 2)
+                "–" if share is None or not e.is_driven else number(100 * share, 2)
                 for share in (e.share, e.moving, e.by_least_squares, e.by_file)
             ],
         ]

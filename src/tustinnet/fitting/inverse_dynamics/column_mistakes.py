@@ -250,7 +250,7 @@ def _describe_large_forces(
         most = system.limits[k].force
         if most is None or force[k] <= _NO_NOISE * most:
             continue
-        unit = "N m" if system.coordinates[k].kind == "angular" else "N"
+        unit = system.force_unit(system.coordinates[k])
         findings.append(
             make_finding(
                 "force at limit" if force[k] <= _USUAL_GAIN * most else "force beyond limit",

@@ -126,7 +126,10 @@ def _explained_band(
             missing = piece.slopes @ found + piece.rest
             power = power + _power(np.stack([missing, piece.applied]), period, edges)
     missing, applied = power
-    share = np.median(missing / np.maximum(applied, 1e-300), axis=0)
+    is_driven = applied.any(axis=1)
+    if not is_driven.any():
+        return float(edges[1])
+    share = np.median(missing[is_driven] / np.maximum(applied[is_driven], 1e-300), axis=0)
     smooth = np.convolve(share, np.ones(3) / 3, mode="valid")
     beyond = np.flatnonzero(smooth > 1 - CUTOFF.explained) + 1
     return float(edges[beyond[0]]) if len(beyond) else highest

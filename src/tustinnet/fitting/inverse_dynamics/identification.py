@@ -407,6 +407,7 @@ def _make_identification(
 def _force_errors(result: _Result, validation: Sequence[Experiment]) -> tuple[ForceError, ...]:
     """The force that is missing at each coordinate, beside that of trivial references."""
     fit, plain = result.fit, result.plain
+    system = fit.forces.system
     found, nominal = least_squares(plain.sums), plain.forces.space.nominal
     by_file = plain.forces.missing(plain.forces.space.to_vector(nominal))
 
@@ -421,7 +422,8 @@ def _force_errors(result: _Result, validation: Sequence[Experiment]) -> tuple[Fo
         return RecordForces(
             record=part.record.name,
             split=split,
-            coordinates=fit.forces.system.coordinates,
+            coordinates=system.coordinates,
+            units=tuple(map(system.force_unit, system.coordinates)),
             cutoff=part.cutoff,
             t=part.times,
             applied=columns.applied,
@@ -531,7 +533,7 @@ def _describe_slip(fit: _Fit, errors: _Errors) -> list[Finding]:
         levels = np.array([values[name] for name in names])
         row = np.isin(space.names, [*names, own]) * slopes
         travels = values[f"{force.channel}.{SLIP}_travel"] * np.array(SLIP_TRAVELS)
-        is_linear = fit.forces.system.coordinates[force.index].kind == "linear"
+        coordinate = fit.forces.system.coordinates[force.index]
         listed.append(
             make_finding(
                 "holds",
@@ -539,9 +541,9 @@ def _describe_slip(fit: _Fit, errors: _Errors) -> list[Finding]:
                 dry=levels.sum() + values.get(own, 0.0),
                 error=_QUANTILE * errors.deviation(row),
                 level=levels.sum(),
-                unit="N" if is_linear else "N m",
+                unit=fit.forces.system.force_unit(coordinate),
                 travel=1e3 * travels[levels > 0].max(),
-                travel_unit="mm" if is_linear else "mrad",
+                travel_unit=f"m{coordinate.unit}",
             )
         )
     return [make_finding("holds at rest", joints=listed)] if listed else []

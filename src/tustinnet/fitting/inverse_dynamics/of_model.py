@@ -151,6 +151,7 @@ def _forces_along(
         record=record.name,
         split=record.split or "",
         coordinates=system.coordinates,
+        units=tuple(map(system.force_unit, system.coordinates)),
         cutoff=cutoff,
         t=part.times,
         applied=needed - along.missing(values),

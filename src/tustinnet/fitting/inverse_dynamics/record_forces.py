@@ -20,10 +20,11 @@ class RecordForces(Brief):
         record: the record's name.
         split: its split; "" without one.
         coordinates: the coordinates.
+        units: of the forces at each.
         cutoff: frequency up to which forces are compared [Hz].
         t: times of the samples [s], (k,).
-        applied: what the actuators give, (k, n_q) [N m or N].
-        needed: what the motion needs by the model, (k, n_q) [N m or N].
+        applied: what the actuators give, (k, n_q) [units].
+        needed: what the motion needs by the model, (k, n_q) [units].
         needed_by_file: the same by the nominal values, as of a robot's file.
         needed_by_least_squares: the same by least squares on training records without priors,
             ranges and added forces; None without such records.
@@ -33,6 +34,7 @@ class RecordForces(Brief):
     record: str
     split: str
     coordinates: tuple[Coordinate, ...]
+    units: tuple[str, ...]
     cutoff: float
     t: Float[np.ndarray, " k"]
     applied: Float[np.ndarray, "k n_q"]
@@ -43,7 +45,7 @@ class RecordForces(Brief):
 
     @property
     def missing(self) -> Float[np.ndarray, "k n_q"]:
-        """The missing forces: needed by the motion, not given by actuators, (k, n_q) [N m or N]."""
+        """The missing forces: needed by the motion, not given by actuators, (k, n_q) [units]."""
         return self.needed - self.applied
 
     @property
@@ -53,7 +55,7 @@ class RecordForces(Brief):
 
     @property
     def errors(self) -> tuple[ForceError, ...]:
-        """The missing force at each coordinate, in N m or N and by the actuators' forces."""
+        """The missing force at each coordinate, by itself and by the actuators' forces."""
         return force_errors([self])
 
 
@@ -81,9 +83,9 @@ def force_errors(forces: Sequence[RecordForces]) -> tuple[ForceError, ...]:
             ForceError(
                 split=split,
                 coordinate=c.name,
-                unit="N m" if c.kind == "angular" else "N",
+                unit=own[0].units[k],
                 cutoff=own[0].cutoff,
-                # not 0 where a joint has no force [N m or N]
+                # not 0 where a joint has no force
                 size=max(float(size[k]), 1e-12),
                 missing=float(missing[k]),
                 moving=moving[k],
