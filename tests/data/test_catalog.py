@@ -120,6 +120,36 @@ def test_a_card_may_lie_elsewhere(folder: Path, tmp_path: Path) -> None:
     assert len(tn.load(folder, card=card)) == 5
 
 
+def test_a_card_for_other_logs_makes_them_test_records(tmp_path: Path) -> None:
+    card, new = tmp_path / "dataset.toml", tmp_path / "new"
+    card.write_text(
+        'name = "toy"\ndt = 0.01\nformat.header = false\ninputs = [{ name = "u", column = 2, unit = "V" }]\n'
+        'coordinates = [{ name = "angle", kind = "angular", column = 1 }]\n'
+        'splits.train = ["run1.csv", "run2.csv"]\n'
+    )
+    new.mkdir()
+    (new / "run8.csv").write_text(FILES["train/swing.csv"])
+    assert [(e.name, e.split) for e in tn.load(new, card)] == [("run8", "test")]
+    (new / "run1.csv").write_text(FILES["train/swing.csv"])
+    with pytest.raises(tn.InputError, match=r"run2.csv: no such file"):
+        tn.load(new, card)
+
+
+def test_a_log_of_inputs_alone_can_be_simulated(tmp_path: Path) -> None:
+    (tmp_path / "dataset.toml").write_text(
+        'name = "toy"\ndt = 0.01\ninputs = [{ name = "u", column = "u", unit = "V" }]\n'
+        'coordinates = [{ name = "angle", kind = "angular", column = "q" }]\n'
+        'splits.train = ["step.csv"]\n'
+    )
+    rows = "".join(f"0.0,{k // 15}\n" for k in range(30))
+    (tmp_path / "step.csv").write_text("q,u\n" + rows)
+    (tmp_path / "other.csv").write_text("q,u\n" + rows)
+    (record,) = tn.load(tmp_path / "other.csv")
+    assert np.ptp(record.u) == 1.0
+    with pytest.raises(tn.InputError, match="nothing moves"):
+        tn.load(tmp_path / "step.csv")
+
+
 def test_a_given_card_goes_before_the_folders_own(folder: Path, tmp_path: Path) -> None:
     card = tmp_path / "other.toml"
     text = (folder / "dataset.toml").read_text()

@@ -11,7 +11,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 
 from tustinnet.data.card import Card, FileCard
-from tustinnet.data.card_files import list_record_files
+from tustinnet.data.card_files import list_logs_in, list_record_files
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.declaration import read_declaration
 from tustinnet.data.loading import load_folder
@@ -101,7 +101,7 @@ def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card
     if card is not None:
         folder = find_folder(CATALOG[str(data)]) if str(data) in CATALOG else path
         _require_folder(folder)
-        return folder, read_declaration(Path(card), Card)
+        return folder, _for_folder(folder, read_declaration(Path(card), Card))
     if str(data) in CATALOG:
         entry = CATALOG[str(data)]
         return find_folder(entry), entry.card()
@@ -129,11 +129,23 @@ def locate(data: str | Path, card: str | Path | None = None) -> tuple[Path, Card
     )
 
 
+def _for_folder(folder: Path, card: Card) -> Card:
+    """A card for a folder: where none of its files are there, all logs are test records."""
+    if not card.splits or _list_there(folder, card):
+        return card
+    files = [FileCard(file=file) for file in list_logs_in(folder)]
+    return card.model_copy(update={"splits": {"test": files}}) if files else card
+
+
+def _list_there(folder: Path, card: Card) -> list[tuple[str | None, FileCard]]:
+    """The files of a card with their splits, as far as they are there."""
+    all_optional = card.model_copy(update={"optional_splits": [*card.splits]})
+    return list_record_files(folder, all_optional) if card.splits else []
+
+
 def _keep_only(file: str, folder: Path, card: Card) -> Card:
     """A card of one log: as it is named there, or a test record where it is not."""
-    # the other files need not be there
-    all_optional = card.model_copy(update={"optional_splits": [*card.splits]})
-    named = list_record_files(folder, all_optional) if card.splits else []
+    named = _list_there(folder, card)
     kept = {split: [e for s, e in named if s == split and e.file == file] for split, _ in named}
     splits = {split: entries for split, entries in kept.items() if entries}
     return card.model_copy(update={"splits": splits or {"test": [FileCard(file=file)]}})

@@ -131,9 +131,12 @@ def _load_files(
     named = {entry.file for entries in card.splits.values() for entry in entries}
     loaded: list[_LoadedRecord] = []
     errors: list[tuple[str | None, InputError]] = []
-    for split, entry in list_record_files(folder, card):
+    entries = list_record_files(folder, card)
+    # the inputs of a single log may be there to be simulated
+    may_rest = [split for split, _ in entries] == ["test"]
+    for split, entry in entries:
         try:
-            records = _load_file(folder, split, entry, card)
+            records = _load_file(folder, split, entry, card, may_rest=may_rest)
         except InputError as error:
             if raises or entry.file in named or entry.name in required:
                 raise
@@ -196,9 +199,17 @@ def _begin_near_zero(records: Sequence[_LoadedRecord], card: Card) -> list[Exper
 
 
 def _load_file(
-    folder: Path, split: str | None, entry: FileCard, card: Card
+    folder: Path, split: str | None, entry: FileCard, card: Card, *, may_rest: bool
 ) -> list[_LoadedRecord | InputError]:
-    """The record of a file, or of each element of its cell arrays the record or its error."""
+    """The record of a file, or of each element of its cell arrays the record or its error.
+
+    Args:
+        folder: where the card's paths begin.
+        split: of the record.
+        entry: the file.
+        card: what to read.
+        may_rest: whether inputs are enough, and no position moves.
+    """
     path = folder / entry.file
     require_inside(folder, path)
     columns = read_formatted(path, card.format)
@@ -210,7 +221,14 @@ def _load_file(
             _require_width(columns, card, path)
         reader = _ColumnReader(columns, where, entry.rows)
         return _read_record(
-            reader, card, name, split=split, groups=entry.groups, entry=entry, sha256=digest
+            reader,
+            card,
+            name,
+            split=split,
+            groups=entry.groups,
+            entry=entry,
+            sha256=digest,
+            may_rest=may_rest,
         )
 
     name = entry.name or path.stem
@@ -378,6 +396,7 @@ def _read_record(
     groups: Mapping[str, str],
     entry: FileCard | None = None,
     sha256: str = "",
+    may_rest: bool = False,
 ) -> _LoadedRecord:
     """The record in some columns, in SI units; `entry` is its file in the card, if it has one."""
     where, names = reader.where, [reader.name(key) for key in card.columns]
@@ -405,7 +424,7 @@ def _read_record(
         v = reader.read_matrix([c.column for c in velocities]) * factors
     if len(q) < 2:
         raise InputError(where, counted(len(q), "sample"), "at least 2")
-    if not np.ptp(q, axis=0).any():
+    if not np.ptp(q, axis=0).any() and not (may_rest and np.ptp(u, axis=0).any()):
         names = ", ".join(c.name for c in card.coordinates)
         raise InputError(
             where,

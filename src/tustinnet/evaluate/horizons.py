@@ -77,7 +77,8 @@ def seconds_followed(records: Sequence[Experiment], whole: Sequence[Score]) -> l
             squares = np.cumsum((score.simulated[first:, position] - e.q[first:]) ** 2, 0)
         rms = np.sqrt(squares / np.arange(1, len(squares) + 1)[:, None])
         spread = np.std(e.q, axis=0)
-        follows = (rms <= np.maximum(FOLLOWED * spread, unseen(e)))[:, spread > 0].all(axis=1)
+        moves = (spread > 0) | ~spread.any()
+        follows = (rms <= np.maximum(FOLLOWED * spread, unseen(e)))[:, moves].all(axis=1)
         seconds.append(float(e.dt * max(np.flatnonzero(follows), default=0)))
     return seconds
 
