@@ -209,7 +209,7 @@ def test_a_bound_says_where_it_is_from_and_how_to_move_it(wrist: Path) -> None:
     first, second, third, advice = map(str, describe_bounds(estimates, None, system))
     assert "range: 10 times the inertia that it moves by the file" in first
     assert "range: 1/5 to 5 times the value in the file" in second
-    assert "nothing of the machine as long as the model does not follow" in third
+    assert "nothing of the machine as long as the model misses more" in third
     assert "'+ constant'" in third
     followed = [f.text for f in describe_bounds(estimates, 1.0, system)]
     assert "'turn.coulomb' is 0, its lower bound: the records show nothing of it" in followed

@@ -90,7 +90,7 @@ IDENTIFICATION = {
     "vanished": note("'{parameter}' is 0, its lower bound: the records show nothing of it"),
     "vanished misfit": warning(
         "{parameters:quoted}: 0, their lower bound; that says nothing of the machine as long as "
-        "the model does not follow the records",
+        "the model misses more than the sensors' noise",
         "[[{advises_forces}try a force behind the recipe's name: '+ constant' or '+ curve']]",
     ),
     "wider ranges": note(
