@@ -123,7 +123,8 @@ def test_a_card_may_lie_elsewhere(folder: Path, tmp_path: Path) -> None:
 def test_a_card_for_other_logs_makes_them_test_records(tmp_path: Path) -> None:
     card, new = tmp_path / "dataset.toml", tmp_path / "new"
     card.write_text(
-        'name = "toy"\ndt = 0.01\nformat.header = false\ninputs = [{ name = "u", column = 2, unit = "V" }]\n'
+        'name = "toy"\ndt = 0.01\nformat.header = false\n'
+        'inputs = [{ name = "u", column = 2, unit = "V" }]\n'
         'coordinates = [{ name = "angle", kind = "angular", column = 1 }]\n'
         'splits.train = ["run1.csv", "run2.csv"]\n'
     )

@@ -38,7 +38,9 @@ def _channel_lines(header: dict[str, Any]) -> Lines:
         unit = f" [{coordinate['unit']}]" if coordinate.get("unit") else ""  # not rad or m
         coordinates.append(f"{coordinate['name']}{unit} ({coordinate['kind']})")
     inputs = ", ".join(
-        f"{i['name']} [{i['unit']}, {i.get('hold') or 'zero-order'}]" for i in header["inputs"]
+        f"{i['name']} [{i['unit']}, {i.get('hold') or 'zero-order'}"
+        + (f", {i['delay']:.4g} s late]" if i.get("delay") else "]")
+        for i in header["inputs"]
     )
     return [
         ("kind", f"{header['kind']}, format {header['format']}"),

@@ -24,6 +24,7 @@ from tustinnet.selection.ranking import (
     find_simplest,
     is_ahead,
     may_overtake,
+    paired_difference,
     rank,
 )
 from tustinnet.simulate.starts import start_named
@@ -155,7 +156,7 @@ class CandidateQueue:
             place = places.get(c.name, 0)
             goes_on = (c.name in places and place < kept) or c.name in ahead
             if jobs := self._missing(c, self._folds if goes_on else 1):
-                behind = 0 if c.name in ahead else (jobs[0].fold > 0) + place
+                behind = ahead.get(c.name, (jobs[0].fold > 0) + place)
                 leads = (kinds > 1 and place == 0) or c.name in ahead
                 weight = self._weight(c, jobs[0], behind, leads=leads)
                 steps.append((weight, c, jobs))
@@ -206,23 +207,26 @@ class CandidateQueue:
                     places[name] = min(places[c.name], places.get(name, len(kinds)))
         return places
 
-    def _find_ahead(self) -> set[str]:
+    def _find_ahead(self) -> dict[str, int]:
         """The candidates that may be better than the best, which too few records tell, by name.
 
         They are ahead where both were scored, by more than nobody minds, or not lost where the best
-        is lost, or the records speak for them. With what these correct or begin with.
+        is lost, or the records speak for them. With what these correct or begin with. Each with
+        the number of those that are ahead by more.
         """
         ranking = self._rank()
-        ahead = {
-            r.name
+        found = [
+            r
             for r in ranking[1:]
             if is_ahead(r, ranking[0])
             or may_overtake(r, ranking[0])
             or (r.name in self._promising and r.follows_some)
-        }
-        for c in self._candidates:
-            if c.name in ahead:
-                ahead |= self._needed(c)
+        ]
+        found.sort(key=lambda r: paired_difference(r, ranking[0]).mean)
+        ahead = {r.name: place for place, r in enumerate(found)}
+        for name in [*ahead]:
+            for needed in self._needed(self.plan.candidate(name)):
+                ahead[needed] = min(ahead[name], ahead.get(needed, len(ahead)))
         return ahead
 
     def _needed(self, candidate: Candidate) -> set[str]:
@@ -267,8 +271,8 @@ class CandidateQueue:
         Args:
             candidate: the candidate.
             job: its next job.
-            behind: 1 on further folds, and one more for every kind that is better; 0 of what is
-                ahead.
+            behind: 1 on further folds, and one more for every kind that is better; of what is ahead
+                how many are so by more.
             leads: whether it is better than another kind, and none is better, or is ahead.
         """
         power, is_further = behind, candidate.name in self._seconds
