@@ -567,7 +567,7 @@ def test_a_draft_takes_the_unit_that_the_motion_shows(tmp_path: Path) -> None:
     corrected = draft_examined(examine_logs(tmp_path, files), scales).choice.coordinates
     assert [c.unit for c in corrected] == ["rad", "rad"]
     assert all(
-        "in rad as gravity shows" in c.because
+        "in rad as the motion shows" in c.because
         for c in corrected
         if c.name in {w.name for w in wrong}
     )

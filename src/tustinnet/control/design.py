@@ -52,7 +52,8 @@ class DesignDefaults(NamedTuple):
         planned: share of the inputs' limits that a plan uses: the rest is for its feedback.
         followed: acceptable deviation from a reference, as a share of its range.
         window: deviation within which a position counts as held, as a share of its recorded
-            range; of an angle at most 0.2 rad, and of any its acceptable deviation.
+            range; of an angle at most 0.2 rad, and of any its acceptable deviation, and as large
+            a share of the way of a motion.
         unknown_window: this deviation of a length whose range is not known [m].
         hold: periods for which a goal is to be held, where these are shorter than usual.
         settling: time constants of the slowest mode of a loop in which it comes to its point.
@@ -587,7 +588,12 @@ def _windows(model: Model, task: ControlTask, range: Range | None) -> dict[str, 
     windows = unknown if range is None else range.share_of_spans(DESIGN.window, channels, WINDOW)
     windows = np.where(windows > 0, windows, unknown)
     named = {c.name: float(w) for c, w in zip(channels.coordinates, windows, strict=True)}
-    return {n: min(named[n], task.deviations.get(n, np.inf)) for n in task.at}
+    # of a short way a share of that
+    ways = {n: abs(goal - (task.start or {}).get(n, goal)) for n, goal in task.at.items()}
+    return {
+        n: min(named[n], DESIGN.window * way or np.inf, task.deviations.get(n, np.inf))
+        for n, way in ways.items()
+    }
 
 
 def _position_limits(model: Model, task: ControlTask) -> dict[str, tuple[float, float]]:

@@ -97,11 +97,10 @@ def saturated_share(u: Float[np.ndarray, " n"], limits: tuple[float, float] | No
         return float(np.mean((u <= limits[0]) | (u >= limits[1])))
     # an input of many levels that stays at an extreme one was probably limited there; a grid makes
     # more of few levels, by means over the steps between them
-    values, counts = np.unique(np.round(u / max(np.abs(u).max(), 1e-300), 9), return_counts=True)
+    _, counts = np.unique(np.round(u / max(np.abs(u).max(), 1e-300), 9), return_counts=True)
     levels = 1 + int(np.searchsorted(np.cumsum(np.sort(counts)[::-1]), 0.9 * len(u)))
-    extreme = float(counts[0] + counts[-1]) / len(u)
-    # an input that needs more than ten levels for most of its samples is called saturated when it
-    # is at an extreme one for this share of the time, and three times as often as if all levels
-    # were equally frequent
-    is_stuck = levels > 10 and extreme > max(0.02, 3 * 2 / len(values))
-    return extreme if is_stuck else 0.0
+    if levels <= 10:  # it takes more of them for most of the samples
+        return 0.0
+    extreme, next_ones = (float(counts[k] + counts[-1 - k]) / len(u) for k in (0, 1))
+    # and is there three times as often as at the next ones: a sine is not
+    return extreme if extreme > max(0.02, 3 * next_ones) else 0.0

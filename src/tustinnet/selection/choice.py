@@ -12,8 +12,8 @@ from tustinnet.evaluate.bands import KEY as BANDS
 from tustinnet.evaluate.bands import Calibration
 from tustinnet.evaluate.horizons import describe_followed
 from tustinnet.evaluate.metrics import ErrorRange, expected_range, mean_and_error
-from tustinnet.evaluate.reference import Reference
-from tustinnet.evaluate.scores import Score, scores_header
+from tustinnet.evaluate.reference import Reference, find_reference
+from tustinnet.evaluate.scores import Score, mean_rmse_by_unit, scores_header
 from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.report import data_header
 from tustinnet.fitting.roles import records_without_test
@@ -161,7 +161,16 @@ class Choice(Shown):
             yield make_finding("forces unexplained", shares=unexplained)
         if self.whole:
             records = [self.context.data[name] for name in self.whole]
-            yield describe_followed(records, list(self.whole.values()))
+            scores, channels = list(self.whole.values()), self.context.data.channels
+            if len(channels.units) > 1:
+                reference = find_reference(records, None)
+                yield make_finding(
+                    "errors by unit",
+                    errors=mean_rmse_by_unit(scores, channels),
+                    reference=reference.label,
+                    reference_errors=reference.mean_by_unit,
+                )
+            yield describe_followed(records, scores)
 
     def _share_of_reference(self, mean: float) -> float:
         return mean / self.reference.mean if self.reference.mean else math.inf

@@ -24,6 +24,9 @@ SELECTION = {
         "{reference} ({reference_error:.3g} {unit}); worst {worst}, {largest:.3g} {unit}"
         "[[{few}, few of them: other records may be much further off]]"
     ),
+    "errors by unit": note(
+        "of whole records by unit: {errors:.3g} ({reference}: {reference_errors:.3g})"
+    ),
     "forces unexplained": note(
         "forces along these records that it does not explain: {shares:percent}"
     ),

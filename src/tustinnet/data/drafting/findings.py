@@ -141,7 +141,7 @@ class Findings:
         """The answer to a question and where it is from; None where it is open."""
         if key in self.answers:
             return self.answers[key], "as you say"
-        return (self.by_motion[key], "as gravity shows") if key in self.by_motion else None
+        return (self.by_motion[key], "as the motion shows") if key in self.by_motion else None
 
     def columns(self, role: str) -> list[str]:
         """The columns of a role, in the order of the file."""
