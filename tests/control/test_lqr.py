@@ -21,6 +21,7 @@ from tustinnet.control import (
     margins,
     time_varying_lqr,
 )
+from tustinnet.control.design import ControlTask, design_controller
 from tustinnet.control.dynamics import controlled
 from tustinnet.control.lqr import loop_without_friction
 from tustinnet.control.sticking import sticking_distances
@@ -390,3 +391,15 @@ def test_masses_on_a_shaft_stick_together():
     farthest = (0.5 + 0.5 * (1 + motor / 200)) / (motor + load)
     found = sticking_distances(model, feedback)
     assert found["load"] == pytest.approx(farthest, rel=0.02)
+
+
+def test_a_short_way_makes_feedback_and_goal_stricter():
+    model = double_integrator()
+    ranges = Range(np.array([[-2.0, 2.0], [-3.0, 3.0]]), np.array([[-2.0, 2.0]]))
+    short, long = (
+        design_controller(model, ControlTask({"s": goal}, start={"s": 0.0}), range=ranges)
+        for goal in (0.2, 1.9)
+    )
+    assert short.goal.window["s"] == pytest.approx(0.02)
+    assert long.goal.window["s"] == pytest.approx(0.19)
+    assert short.feedback.gain[0, 0] > 2 * long.feedback.gain[0, 0]

@@ -26,7 +26,7 @@ from tustinnet.control.lqr import Feedback, Recovery, Tracking, lqr, time_varyin
 from tustinnet.control.margins import Margins, margins
 from tustinnet.control.mpc import Mpc
 from tustinnet.control.plan import Plan
-from tustinnet.control.weights import Deviations, bryson_weights
+from tustinnet.control.weights import Deviations, Weights, bryson_weights
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
@@ -246,6 +246,8 @@ def design_controller(
         )
     on_message("equilibrium")
     own = _usual_deviations(model, task, bounds)
+    weights = bryson_weights(controlled(model, task.delay), bounds, own, range)
+    own |= _deviations_of_short_ways(model, task, weights)
     weights = bryson_weights(controlled(model, task.delay), bounds, own, range)
     speeds = weights.usual_speeds(model.channels)
     sizes = None if range is None else range.share_of_spans(0.5, model.channels, np.pi)
@@ -589,11 +591,24 @@ def _windows(model: Model, task: ControlTask, range: Range | None) -> dict[str, 
     windows = np.where(windows > 0, windows, unknown)
     named = {c.name: float(w) for c, w in zip(channels.coordinates, windows, strict=True)}
     # of a short way a share of that
-    ways = {n: abs(goal - (task.start or {}).get(n, goal)) for n, goal in task.at.items()}
     return {
         n: min(named[n], DESIGN.window * way or np.inf, task.deviations.get(n, np.inf))
-        for n, way in ways.items()
+        for n, way in _ways(task).items()
     }
+
+
+def _deviations_of_short_ways(
+    model: Model, task: ControlTask, weights: Weights
+) -> dict[str, float]:
+    """Half of the ways of a motion that are shorter than what is acceptable otherwise, by name."""
+    names, ways = [c.name for c in model.channels.coordinates], _ways(task)
+    prices = {n: weights.states[names.index(n)] for n in ways if n not in task.deviations}
+    return {n: ways[n] / 2 for n in prices if 0 < (ways[n] / 2) ** 2 * prices[n] < 1}
+
+
+def _ways(task: ControlTask) -> dict[str, float]:
+    """The distances of a motion, 0 without one, by the positions that are held after it."""
+    return {n: abs(goal - (task.start or {}).get(n, goal)) for n, goal in task.at.items()}
 
 
 def _position_limits(model: Model, task: ControlTask) -> dict[str, tuple[float, float]]:
