@@ -73,7 +73,7 @@ class _Prices:
         w, columns = WEIGHTS, range(len(t.names))
         positions = np.array([t.says(i, "position") for i in columns])
         inputs = np.array([t.says(i, "input") for i in columns]) | t.is_free
-        plain = np.array([r.qualifier is None for r in t.readings])
+        plain = np.array([r.qualifier in (None, "measured") for r in t.readings])
         are_of_block = np.zeros((len(columns), len(columns)), bool)
         for block in t.blocks:
             places = [*block.values()]
