@@ -57,6 +57,7 @@ def choose_substeps(
     )
 
 
+@np.errstate(all="ignore")  # of few steps that diverge
 def fewest_substeps(model: Discretised, experiments: Sequence[Experiment], share: float) -> int:
     """The smallest number of Runge-Kutta steps in a period whose error the model's own errors hide.
 
