@@ -65,6 +65,16 @@ def test_on_two_records_one_that_is_far_ahead_on_both_is_the_best():
     assert [s.name for s in rank([hybrid, gru, chance])] == ["gru", "hybrid", "chance"]
 
 
+def test_what_is_before_the_most_scored_one_is_ranked_by_its_own_folds():
+    poor = standing("linear", {"r": 1.4, "s": 1.4}, {"t": 1.4}, {"u": 1.4})
+    good = standing("mechanism", {"r": 0.7, "s": 0.8}, {"t": 0.6})
+    # on its two records as sure as can be, by the linear model; not by the mechanism
+    lucky = standing("mechanism + end_stops", {"r": 0.69, "s": 0.7})
+    of_poor = [s.name for s in rank([poor, lucky])]
+    assert of_poor == [lucky.name, poor.name]
+    assert [s.name for s in rank([poor, lucky, good])] == [good.name, lucky.name, poor.name]
+
+
 def test_those_that_share_no_fold_are_ranked_by_what_each_has():
     a, b = (
         CandidateResult("a", {0: (scores({"r": 2.0}),)}),

@@ -159,7 +159,7 @@ def rank(results: Iterable[CandidateResult]) -> list[CandidateResult]:
     is what the others are compared with, each on the records that both have: one that was soon
     left does not take records away from the others. It comes before the best only where it is
     better by more than a standard error of the difference; on one or two records by several, or
-    less than a third as far off on each.
+    less than a third as far off on each. Those before it are ranked among themselves by this rule.
     """
     scored = [r for r in results if r.fits_by_fold]
     most = max((len(r.fits_by_fold) for r in scored), default=0)
@@ -187,7 +187,9 @@ def rank(results: Iterable[CandidateResult]) -> list[CandidateResult]:
         return value if np.isfinite(value) else np.inf
 
     # of those that are all lost the one that is least far off
-    return sorted(scored, key=lambda r: (error(r), r.mean))
+    ordered = sorted(scored, key=lambda r: (error(r), r.mean))
+    before = ordered[: ordered.index(best)] if best else []
+    return [*rank(before), *ordered[len(before) :]] if len(before) > 1 else ordered
 
 
 def find_simplest(results: Sequence[CandidateResult], best: CandidateResult) -> CandidateResult:
