@@ -28,6 +28,7 @@ from jaxtyping import Float
 from tustinnet.data.experiment import Experiment
 from tustinnet.data.spoiled import SpoiledPart, spoiled_record, spoiled_stretch
 from tustinnet.errors import InputError
+from tustinnet.evaluate.reference import unseen
 from tustinnet.models.contract import Model, with_dtype
 from tustinnet.simulate.batches import map_in_batches
 from tustinnet.simulate.input_signal import input_signals
@@ -303,9 +304,9 @@ def _with_friction(
 def _make_errors(pieces: Sequence[_Pieces], records: Sequence[Experiment]) -> list[_PieceErrors]:
     """Squared errors of the pieces of each record, with initial states that follow the changes."""
     rms = np.sqrt(np.concatenate([np.mean(p.residual**2, axis=1) for p in pieces]))
-    counts = np.asarray(records[0].channels.resolution) / np.sqrt(12)
+    floor = np.median([unseen(e) for e in records], axis=0)
     spread = np.concatenate([e.q for e in records]).std(axis=0)
-    usual = np.maximum(np.maximum(np.median(rms, axis=0), counts), 1e-6 * spread + 1e-12)
+    usual = np.maximum(np.maximum(np.median(rms, axis=0), floor), 1e-6 * spread + 1e-12)
     result = []
     for p in pieces:
         n, samples, n_q = p.residual.shape
