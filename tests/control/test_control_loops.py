@@ -19,6 +19,7 @@ from tustinnet.control.sampled_plant import PlantOptions
 from tustinnet.control.trial import try_design
 from tustinnet.control.variants import FRICTION, make_variants, with_friction_factor
 from tustinnet.errors import InputError
+from tustinnet.families.euler_lagrange import draw_values
 from tustinnet.models.physical_values import with_values
 from tustinnet.simulate.filtering import FilterNoise
 from tustinnet.systems.qube_servo2_twin import COUNT, TWIN_VALUES
@@ -347,3 +348,20 @@ def test_encoders_of_variants_count_as_the_filter_assumes():
     plant = own[0].plants[0]
     plant.reset(np.array([0.1, 0.0]), 0)
     assert abs(plant.measure()[0] - 0.1) <= 0.25
+
+
+def test_values_near_the_end_of_a_range_are_drawn_with_their_correlation():
+    model = grey_box()
+    names = ("arm_mass", "pendulum_centre")
+    values = {n: TWIN_VALUES[n] for n in names}
+    rows = [
+        {"name": n, "value": x, "error": x, "lower": 0.5 * x, "upper": 3 * x}
+        for n, x in values.items()
+    ]
+    header = {"identification": {"estimates": rows, "correlation": [[1.0, 0.999], [0.999, 1.0]]}}
+    drawn = draw_values(model, header, 50)
+    shares = np.array([[d[n] / values[n] for n in names] for d in drawn])
+    assert len(drawn) == 50
+    assert np.abs(shares[:, 0] - shares[:, 1]).max() < 0.2
+    assert shares.min() >= 0.5
+    assert shares.std() > 0.3

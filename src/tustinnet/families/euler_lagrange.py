@@ -48,6 +48,7 @@ _PROBED = "probed"  # the name of the array of derivatives at the probes
 _PROBES = 16
 _REACH = {"q": 2.0, "v": 3.0, "z": 0.5, "u": 3.0}  # how far from 0 the probes are, SI units
 _TOLERANCE = {True: 1e-6, False: 1e-3}  # relative, in double and in single precision
+_DRAWS = 200  # of values for each that is to lie within the ranges
 
 
 class EulerLagrangeHyper(IdentifiedHyper):
@@ -261,12 +262,15 @@ def draw_values(
         for estimate in estimates
     ]
     drawn = np.random.default_rng(seed).multivariate_normal(
-        values, covariance, count, check_valid="ignore"
+        values, covariance, _DRAWS * count, check_valid="ignore"
     )
     # a delay, for instance, is no parameter of the equations
     columns = [i for i, estimate in enumerate(estimates) if estimate["name"] in current]
-    names = [estimates[i]["name"] for i in columns]
-    drawn = np.clip(drawn[:, columns], lower[columns], upper[columns])
+    names, drawn = [estimates[i]["name"] for i in columns], drawn[:, columns]
+    # to cut off one value alone would part it from those that are correlated with it
+    inside = np.clip(drawn, lower[columns], upper[columns])
+    is_inside = (inside == drawn).all(axis=1)
+    drawn = inside[np.argsort(~is_inside, kind="stable")[:count]]
     return [dict(zip(names, row.tolist(), strict=True)) for row in drawn]
 
 
