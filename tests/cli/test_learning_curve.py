@@ -95,7 +95,7 @@ def test_three_records_are_too_few_for_a_curve(folder, tmp_path, capsys):
     command = ("cross-validate", folder, "--out", tmp_path / "curve", "--records", "all")
     code, _, err = tustinnet(capsys, *command)
     assert code == 1
-    assert "3 records, of which 0 remain in each draw; expected 4 that remain" in err
+    assert "3 records, of which 2 remain in each draw; expected 4 that remain" in err
 
 
 def test_what_is_scored_was_used_for_nothing_and_draws_are_nested():

@@ -156,7 +156,7 @@ def test_a_question_is_filled_with_what_is_usual():
     asked = make_cross_validation_options("best-hybrid", system=SWING)
     assert asked.physics == tn.read_recipe("best-grey")
     assert asked.system is SWING
-    assert (asked.folds, asked.seeds, asked.starts) == (5, (0,), ())
+    assert (asked.folds, asked.seeds, asked.starts) == (None, (0,), ())
     grey = make_cross_validation_options("grey", system="qube-servo2")
     assert grey.physics is None
     assert grey.system is not None
@@ -435,3 +435,8 @@ def test_the_usual_starts_are_the_usual_one_and_a_fitted_one(identified):
         data, CrossValidationOptions(tn.read_recipe("best-grey"), system=SWING, folds=3)
     )
     assert set(found.scores[0].rmse) == {"file", "model-20"}
+
+
+def test_fewer_records_are_as_many_folds():
+    assert len(split_into_folds(short(kinds="abcd"))) == 4
+    assert len(split_into_folds(short())) == 5

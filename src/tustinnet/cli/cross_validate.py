@@ -75,7 +75,12 @@ def cross_validate(
     ] = None,
     system: options.System = None,
     changes: options.Set = None,
-    folds: Annotated[int, typer.Option(min=3, metavar="N", help="Number of folds.")] = 5,
+    folds: Annotated[
+        int | None,
+        typer.Option(
+            min=3, metavar="N", help="Number of folds. Default: 5, or as many as there are records."
+        ),
+    ] = None,
     records: _Records = None,
     physics: _Physics = None,
     draws: _Draws = None,

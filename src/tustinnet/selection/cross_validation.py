@@ -17,7 +17,7 @@ from tustinnet.fitting.roles import records_without_test
 from tustinnet.fitting.task import AnyRecipe, require_feedback, resolve_system
 from tustinnet.models.contract import require_float64
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.selection.folds import FOLDS, split_into_folds
+from tustinnet.selection.folds import split_into_folds
 from tustinnet.selection.jobs import Job, JobResult, RunContext
 from tustinnet.selection.runner import Workplace, run_jobs
 from tustinnet.selection.scoring import RecipeScorer
@@ -114,7 +114,7 @@ class CrossValidationOptions:
         physics: the recipe that identifies the physics that a hybrid corrects, anew in every fold,
             or None.
         system: the system that is identified, or None.
-        folds: how many.
+        folds: how many; by default 5, or as many as there are records.
         seeds: those of every fold.
         starts: where free runs start; by default the default start, and `model-20`.
     """
@@ -122,7 +122,7 @@ class CrossValidationOptions:
     recipe: Recipe
     physics: Recipe | None = None
     system: LagrangianSystem | SystemTemplate | None = None
-    folds: int = FOLDS
+    folds: int | None = None
     seeds: tuple[int, ...] = (0,)
     starts: tuple[str, ...] = ()
 
@@ -132,7 +132,7 @@ def make_cross_validation_options(
     *,
     system: AnySystem | None = None,
     physics: AnyRecipe | None = None,
-    folds: int = FOLDS,
+    folds: int | None = None,
     seeds: Sequence[int] | None = None,
     starts: Sequence[str] = (),
 ) -> CrossValidationOptions:
@@ -143,7 +143,7 @@ def make_cross_validation_options(
         system: the system that is identified, or whose identified model a network corrects.
         physics: the recipe that identifies the physics that a network corrects; `best-grey` by
             default.
-        folds: how many.
+        folds: how many; by default 5, or as many as there are records.
         seeds: those of every fold; 0 by default.
         starts: where free runs start; by default the default start, and `model-20`.
 
@@ -166,7 +166,7 @@ def make_cross_validation_options(
         )
     if seeds is not None and (not seeds or len(set(seeds)) < len(seeds)):
         raise InputError("`seeds=`", f"{list(seeds)}", "at least one, all different")
-    if folds < 3:
+    if folds is not None and folds < 3:
         raise InputError("`folds=`", f"{folds}", "3 or more", "one is scored, one chooses")
     identification = read_recipe(physics or DEFAULT_PHYSICS) if corrects else recipe
     if corrects and not identification.family.correctable:

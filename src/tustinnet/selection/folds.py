@@ -12,8 +12,8 @@ from tustinnet.finding import Finding, make_finding
 from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.roles import Roles, records_without_test
 
-FOLDS = 5
-_FEWEST = 3  # records that folds need: one is scored, one chooses, the others train
+FOLDS = 5  # unless another number is given, or there are fewer records
+FEWEST_RECORDS = 3  # records that folds need: one is scored, one chooses, the others train
 _PIECES = 6  # that fewer records are cut into, all together
 _SHORTEST = 100  # samples of a piece, or of a record unless there are many such
 _LITTLE = 0.1  # of all samples, that short records have which are left out
@@ -45,7 +45,12 @@ def kind_of(name: str) -> str:
     return kind.group() if kind else ""
 
 
-def split_into_folds(data: DataSet, folds: int = FOLDS) -> list[FoldSplit]:
+def usual_folds(records: int) -> int:
+    """Into how many folds some records are split where nobody says it."""
+    return min(FOLDS, records)
+
+
+def split_into_folds(data: DataSet, folds: int | None = None) -> list[FoldSplit]:
     """Splits records into folds as cards are dealt, those of a kind one after the other.
 
     Records are of a kind whose names begin with the same letters. Each fold is scored once; the
@@ -54,12 +59,13 @@ def split_into_folds(data: DataSet, folds: int = FOLDS) -> list[FoldSplit]:
 
     Args:
         data: the records.
-        folds: how many.
+        folds: how many; by default 5, or as many as there are records.
 
     Raises:
         InputError: fewer than 3 folds, or fewer records than folds.
     """
     records = records_without_test(data)
+    folds = folds or usual_folds(len(records))
     if not 3 <= folds <= len(records):
         raise InputError(
             "`folds=`",
@@ -95,7 +101,7 @@ def prepare_for_folds(data: DataSet) -> tuple[DataSet, list[Finding]]:
     if 0 < sum(map(len, short)) < _LITTLE * sum(map(len, records)):
         records = [e for e in records if len(e) >= _SHORTEST]
         findings.append(make_finding("short records", records=names_of(short), fewest=_SHORTEST))
-    if len(records) >= _FEWEST:
+    if len(records) >= FEWEST_RECORDS:
         return replace(data, experiments=tuple(records)), findings
     if not records:
         raise InputError(data.name, "test records alone", "records to fit to")

@@ -23,7 +23,7 @@ from tustinnet.selection.cross_validation import (
     fit_splits,
     prepare_for_validation,
 )
-from tustinnet.selection.folds import FoldSplit, split_into_folds
+from tustinnet.selection.folds import FEWEST_RECORDS, FoldSplit, split_into_folds, usual_folds
 from tustinnet.selection.jobs import Job, RunContext
 from tustinnet.selection.runner import Workplace
 from tustinnet.selection.scoring import RecipeScorer
@@ -139,7 +139,7 @@ class LearningCurve:
 
 
 def draw_records(
-    data: DataSet, sizes: Sequence[int], draws: int, folds: int
+    data: DataSet, sizes: Sequence[int], draws: int, folds: int | None
 ) -> dict[int, list[FoldSplit]]:
     """The draws of every number of records; records of the split `test` take part in nothing.
 
@@ -149,7 +149,7 @@ def draw_records(
         data: the records.
         sizes: numbers of records, rising; none for 2, 4, 8, ... and all there are.
         draws: how often records are drawn.
-        folds: of which each draw leaves one out.
+        folds: of which each draw leaves one out; by default 5, or as many as there are records.
 
     Raises:
         InputError: numbers that do not rise, or too few records.
@@ -162,6 +162,7 @@ def draw_records(
             "for instance `records=` 2,4,8",
         )
     count = len(records_without_test(data))
+    folds = folds or max(usual_folds(count), FEWEST_RECORDS)
     splits = split_into_folds(data, folds) if count >= folds else []
     most = min((len(s.roles.all) for s in splits), default=0)
     if not sizes and most >= FEWEST:
