@@ -247,10 +247,8 @@ def _judge(goal: Goal, channels: Channels, result: ClosedLoopResult, outside: st
         low, high = goal.limits[outside]
         kind, sentence = "left its limits", f"{outside} left {low:g}..{high:g} at {end:.2f} s"
     elif len(near) - since > last and _swings(result.inputs, last):
-        kind, sentence = (
-            "swings",
-            f"near from {since * dt:.2f} s on, and inputs swing between limits",
-        )
+        kind = "swings"
+        sentence = f"near from {since * dt:.2f} s on, and inputs swing between limits"
     elif len(near) - since > last:
         kind, sentence, held = "held", f"held from {since * dt:.2f} s on", since * dt
     elif reached is not None:

@@ -125,6 +125,7 @@ class ControlDesign:
         model: the model.
         estimated: the model whose states are estimated: with disturbances where these are.
         task: what it is to do.
+        deviations: acceptable ones of inputs, named states and short ways, by name.
         point: the equilibrium that is held.
         start: the equilibrium from which the motion begins, None without a motion.
         gains: the feedback, along the plan where there is one.
@@ -140,6 +141,7 @@ class ControlDesign:
     model: Model
     estimated: Model
     task: ControlTask
+    deviations: Deviations
     point: OperatingPoint
     start: OperatingPoint | None
     gains: Feedback | Tracking
@@ -149,11 +151,6 @@ class ControlDesign:
     consistency: FilterConsistency | None
     goal: Goal
     beyond: ExtrapolationPoint | None
-
-    @property
-    def deviations(self) -> Deviations:
-        """The acceptable deviations of inputs, and of states that were named."""
-        return _usual_deviations(self.model, self.task, input_limits(self.model, self.task.limits))
 
     @property
     def plan(self) -> Plan | None:
@@ -326,6 +323,7 @@ def design_controller(
         model,
         estimated,
         task,
+        own,
         point,
         start,
         gains,

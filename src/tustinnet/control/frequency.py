@@ -52,9 +52,9 @@ def loop_responses(
     Args:
         model: the model.
         feedback: the feedback.
-        noise: of a filter that is in the loop, as `margins` has it.
         values: values of the model's parameters for further loops, as they are drawn from the
             errors of the identification.
+        noise: of a filter that is in the loop, as `margins` has it.
     """
     system = controlled(model, feedback.delay)
     point = feedback.x0, feedback.u0, feedback.speeds, feedback.integral
