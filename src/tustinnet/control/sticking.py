@@ -29,7 +29,8 @@ def sticking_distances(model: Model, feedback: Feedback, delay: int = 0) -> dict
     system, channels = controlled(model, delay), model.channels
     x, u, n_x = feedback.x0[: model.state_size], feedback.u0, model.state_size
     n_q, speeds = channels.n_q, np.asarray(feedback.speeds)
-    q, v, internal = np.arange(n_q), np.arange(n_q, 2 * n_q), np.arange(channels.measured.stop, n_x)
+    states = np.arange(n_x)
+    q, v, internal = (states[s] for s in (channels.position, channels.velocity, channels.internal))
     a, b = tangent_of_held_inputs(system, x, u, feedback.speeds)
     # internal states, as the lag of an actuator, have come to rest
     settled = a[np.ix_(v, internal)] @ np.linalg.pinv(
