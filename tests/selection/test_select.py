@@ -521,6 +521,17 @@ def test_a_record_that_is_simulated_as_well_as_others_is_not_spoiled(tmp_path, m
     assert {part.record for part in choice.spoiled} == {e.name for e in swings()} - scored
 
 
+def test_a_parameter_at_its_bound_is_said_of_the_chosen_model(tmp_path):
+    narrow = [
+        replace(p, upper=0.8 * TRUTH["gravity"]) if p.name == "gravity" else p
+        for p in SWING.parameters
+    ]
+    plan = plan_in(tmp_path, GREY_ONCE)
+    options = SelectionOptions(plan, replace(SWING, parameters=tuple(narrow)))
+    choice = select_model(swings(), tmp_path / "run", options)
+    assert any("'gravity' is at its upper bound" in f.text for f in choice.findings)
+
+
 def test_an_interruption_before_the_first_score_ends_the_selection(tmp_path, monkeypatch):
     failing(monkeypatch, {"network"}, KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
