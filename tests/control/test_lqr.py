@@ -23,7 +23,7 @@ from tustinnet.control import (
 )
 from tustinnet.control.design import ControlTask, design_controller
 from tustinnet.control.dynamics import controlled
-from tustinnet.control.lqr import loop_without_friction
+from tustinnet.control.lqr import FAST, loop_matrices, loop_without_friction
 from tustinnet.control.sticking import sticking_distances
 from tustinnet.models import forces
 from tustinnet.simulate.filtering import FilterNoise
@@ -374,7 +374,11 @@ def test_feedback_needs_no_dry_friction_to_be_stable():
     model = rubbing_masses()
     feedback = lqr(model, np.zeros(4), np.zeros(1), deviations={"load": 0.02})
     assert not margins(model, feedback).needs_friction
-    without = loop_without_friction(controlled(model), feedback.x0, feedback.u0, feedback.speeds)
+    usual, fast = (
+        loop_matrices(controlled(model), feedback.x0, feedback.u0, k * feedback.speeds)
+        for k in (1, FAST)
+    )
+    without = loop_without_friction(usual, fast)
     x = np.array([0.0, 0.0, 1.0, 1.0])
     free = _Rubbing.step(model, 1e3 * x, np.zeros(1)) - 1e3 * x
     np.testing.assert_allclose(without.a @ x - x, free / 1e3, atol=1e-3)

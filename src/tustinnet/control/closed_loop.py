@@ -237,6 +237,7 @@ def _judge(goal: Goal, channels: Channels, result: ClosedLoopResult, outside: st
     near = goal.is_near(errors)
     last = _held_samples(goal, dt)
     since = len(near) - int(np.argmin(near[::-1])) if not near.all() else 0
+    is_held = len(near) - since > last
     # a swing passes the window in less than half a second
     reached = _first_stay(near, max(1, round(min(0.5, goal.hold) / dt)))
     held: float | None = None
@@ -246,10 +247,10 @@ def _judge(goal: Goal, channels: Channels, result: ClosedLoopResult, outside: st
     elif outside:
         low, high = goal.limits[outside]
         kind, sentence = "left its limits", f"{outside} left {low:g}..{high:g} at {end:.2f} s"
-    elif len(near) - since > last and _swings(result.inputs, last):
+    elif is_held and _swings(result.inputs, last):
         kind = "swings"
         sentence = f"near from {since * dt:.2f} s on, and inputs swing between limits"
-    elif len(near) - since > last:
+    elif is_held:
         kind, sentence, held = "held", f"held from {since * dt:.2f} s on", since * dt
     elif reached is not None:
         lost = reached + int(np.argmin(near[reached:]))
@@ -289,9 +290,8 @@ def _swings(u: Float[np.ndarray, "n n_u"], last: int) -> bool:
         u: the inputs of a run.
         last: samples at its end.
     """
-    ends = u.min(axis=0), u.max(axis=0)
-    shares = [np.mean(u[-last:] == end, axis=0) for end in ends]
-    return bool((np.minimum(*shares) > _SWINGS)[np.ptp(u, axis=0) > 0].any())
+    shares = np.mean(_at_extremes(u)[:, -last:], axis=1)
+    return bool((shares.min(axis=0) > _SWINGS).any())
 
 
 def _saturated(u: Float[np.ndarray, "n n_u"]) -> float:
@@ -299,11 +299,12 @@ def _saturated(u: Float[np.ndarray, "n n_u"]) -> float:
 
     What is limited repeats its limit to the last digit, which no feedback does by chance.
     """
-    at_limit = np.zeros(len(u), bool)
-    for column in u.T:
-        low, high = column.min(), column.max()
-        for value in (low, high):
-            here = column == value
-            if low < high and here.sum() > 1:
-                at_limit |= here
-    return float(at_limit.mean())
+    at_extremes = _at_extremes(u)
+    is_repeated = at_extremes.sum(axis=1, keepdims=True) > 1
+    return float((at_extremes & is_repeated).any(axis=(0, 2)).mean())
+
+
+def _at_extremes(u: Float[np.ndarray, "n n_u"]) -> Bool[np.ndarray, "2 n n_u"]:
+    """Samples at which inputs have their least and their largest value, if these differ."""
+    ends = np.stack([u.min(axis=0), u.max(axis=0)])
+    return (u == ends[:, None]) & (np.ptp(u, axis=0) > 0)

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from tustinnet.control.dynamics import controlled
-from tustinnet.control.lqr import Feedback, loop_matrices
+from tustinnet.control.lqr import Feedback, loop_matrices, spectral_radius
 from tustinnet.control.margins import (
     filter_gain,
     open_loop,
@@ -60,7 +60,7 @@ def loop_responses(
     point = feedback.x0, feedback.u0, feedback.speeds, feedback.integral
     loops = [loop_matrices(system, *point, each) for each in (None, *values)]
     closed, dt = [a - b @ feedback.gain for a, b in loops], feedback.dt
-    slowest = min(np.abs(np.linalg.eigvals(closed[0])).max(), 1 - 1e-9)
+    slowest = min(spectral_radius(loops[0], feedback.gain), 1 - 1e-9)
     # ten times the time constant of the slowest mode
     seconds = min(5.0, -10.0 * dt / np.log(slowest))
     times, frequencies = dt * np.arange(round(seconds / dt) + 1), usual_frequencies(dt)

@@ -26,7 +26,7 @@ from tustinnet.shown import Brief
 from tustinnet.simulate.filtering import checked_vector
 from tustinnet.simulate.range import Range
 
-_FAST = 10.0  # times usual speeds: of motions that dry friction hardly damps
+FAST = 10.0  # times usual speeds: of motions that dry friction hardly damps
 _DEVIATION_SECONDS = (
     1.0  # for which a position may stay at its deviation, where its integral has no weight
 )
@@ -325,9 +325,9 @@ def hold(
 
     def cost(loop: LoopMatrices, gain: Float[np.ndarray, "n_u n_z"]) -> float:
         """The mean cost by a gain, inf if errors grow."""
-        closed = loop.a - loop.b @ gain
-        if np.abs(np.linalg.eigvals(closed)).max() >= 1:
+        if spectral_radius(loop, gain) >= 1:
             return np.inf
+        closed = loop.a - loop.b @ gain
         price = np.diag(_prices(system, len(closed), weights, sums))
         price += gain.T @ np.diag(weights.inputs) @ gain
         return mean_cost(scipy.linalg.solve_discrete_lyapunov(closed.T, price))
@@ -338,10 +338,10 @@ def hold(
         faster = solve(2 * holding.speeds)
         # feedback that costs no more in motions twice as fast serves both, see
         # docs/explanation/control.md
-        is_good = cost(faster.matrices, holding.gain) <= 1.25 * mean_cost(faster.value)
-        undamped = loop_without_friction(system, x, u, holding.speeds, integral)
-        if is_good and np.isfinite(cost(undamped, holding.gain)):
-            break
+        if cost(faster.matrices, holding.gain) <= 1.25 * mean_cost(faster.value):
+            fast = loop_matrices(system, x, u, FAST * holding.speeds, integral)
+            if spectral_radius(loop_without_friction(holding.matrices, fast), holding.gain) < 1:
+                break
         holding = faster
     return holding
 
@@ -369,21 +369,22 @@ def loop_matrices(
     return LoopMatrices(a[np.ix_(order, order)], b[order])
 
 
-def loop_without_friction(
-    system: ControlledModel,
-    x: Float[np.ndarray, " n_x"],
-    u: Float[np.ndarray, " n_u"],
-    speeds: Float[np.ndarray, " n_q"],
-    integral: Sequence[int] = (),
-) -> LoopMatrices:
-    """`loop_matrices` of motions that are so large that dry friction does not damp them.
+def loop_without_friction(usual: LoopMatrices, fast: LoopMatrices) -> LoopMatrices:
+    """The loop of motions that are so large that dry friction does not damp them.
 
     In the mean over motions its damping falls as their speeds grow, so two of them say the limit.
+
+    Args:
+        usual: the loop of motions at some speeds.
+        fast: that at `FAST` times these.
     """
-    usual, fast = (loop_matrices(system, x, u, k * speeds, integral) for k in (1.0, _FAST))
-    return LoopMatrices(
-        *((_FAST * f - one) / (_FAST - 1) for one, f in zip(usual, fast, strict=True))
-    )
+    pairs = zip(usual, fast, strict=True)
+    return LoopMatrices(*((FAST * many - one) / (FAST - 1) for one, many in pairs))
+
+
+def spectral_radius(loop: LoopMatrices, gain: Float[np.ndarray, "n_u n_z"]) -> float:
+    """The largest size of the eigenvalues of a loop that feedback closes; below 1 it is stable."""
+    return float(np.abs(np.linalg.eigvals(loop.a - loop.b @ gain)).max())
 
 
 def _riccati_solution(

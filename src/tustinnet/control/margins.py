@@ -9,7 +9,14 @@ import scipy.linalg
 from jaxtyping import Complex, Float
 
 from tustinnet.control.dynamics import controlled
-from tustinnet.control.lqr import Feedback, LoopMatrices, loop_matrices, loop_without_friction
+from tustinnet.control.lqr import (
+    FAST,
+    Feedback,
+    LoopMatrices,
+    loop_matrices,
+    loop_without_friction,
+    spectral_radius,
+)
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.simulate.filtering import FilterNoise
@@ -81,8 +88,11 @@ def margins(model: Model, feedback: Feedback, noise: FilterNoise | None = None) 
         InputError: the loop is unstable without limits.
     """
     system = controlled(model, feedback.delay)
-    loop = loop_matrices(system, feedback.x0, feedback.u0, feedback.speeds, feedback.integral)
-    largest = np.abs(np.linalg.eigvals(loop.a - loop.b @ feedback.gain)).max()
+    loop, fast = (
+        loop_matrices(system, feedback.x0, feedback.u0, k * feedback.speeds, feedback.integral)
+        for k in (1.0, FAST)
+    )
+    largest = spectral_radius(loop, feedback.gain)
     if largest >= 1:
         raise InputError(
             "margins",
@@ -91,48 +101,45 @@ def margins(model: Model, feedback: Feedback, noise: FilterNoise | None = None) 
             "design the feedback on this model",
         )
     slowest = -feedback.dt / np.log(largest) if largest else 0.0
-    point = feedback.x0, feedback.u0, feedback.speeds, feedback.integral
-    undamped = loop_without_friction(system, *point)
-    is_stable = np.abs(np.linalg.eigvals(undamped.a - undamped.b @ feedback.gain)).max() < 1
-    frequencies, names = usual_frequencies(feedback.dt), [c.name for c in model.channels.inputs]
-    has_estimator = noise is not None
-    found, peaks = [], []
-    for one in (loop, undamped)[: 1 + is_stable]:
-        gain = None if noise is None else filter_gain(one, noise)
-        has_estimator &= gain is not None
-        whole, acting = (one, feedback) if gain is None else with_filter(one, feedback, gain)
-        peaks.append(sensitivity(whole, acting, frequencies))
-        found.append(
-            [
-                _input_margins(n, open_loop(whole, acting, j), frequencies)
-                for j, n in enumerate(names)
-            ]
-        )
-    highest = int(np.argmax(np.max(peaks, axis=0)))
+    undamped = loop_without_friction(loop, fast)
+    is_stable = spectral_radius(undamped, feedback.gain) < 1
+    loops = [loop, undamped] if is_stable else [loop]
+    gains = [None if noise is None else filter_gain(one, noise) for one in loops]
+    wholes = [
+        (one, feedback) if gain is None else with_filter(one, feedback, gain)
+        for one, gain in zip(loops, gains, strict=True)
+    ]
+    frequencies = usual_frequencies(feedback.dt)
+    inputs = tuple(
+        _least([_input_margins(c.name, open_loop(*whole, j), frequencies) for whole in wholes])
+        for j, c in enumerate(model.channels.inputs)
+    )
+    peaks = np.max([sensitivity(*whole, frequencies) for whole in wholes], axis=0)
+    highest = int(np.argmax(peaks))
     return Margins(
-        tuple(_least(same) for same in zip(*found, strict=True)),
-        float(np.max(peaks)),
+        inputs,
+        float(peaks[highest]),
         float(frequencies[highest]),
         float(slowest),
-        has_estimator=has_estimator,
+        has_estimator=all(gain is not None for gain in gains),
         needs_friction=not is_stable,
     )
 
 
-def _least(found: Sequence[InputMargins]) -> InputMargins:
+def _least(of_loops: Sequence[InputMargins]) -> InputMargins:
     """The least margins of one input in several loops."""
     return replace(
-        min(found, key=lambda m: m.phase),
-        gain_up=min(m.gain_up for m in found),
-        gain_down=max(m.gain_down for m in found),
-        delay=min(m.delay for m in found),
+        min(of_loops, key=lambda m: m.phase),
+        gain_up=min(m.gain_up for m in of_loops),
+        gain_down=max(m.gain_down for m in of_loops),
+        delay=min(m.delay for m in of_loops),
     )
 
 
 def filter_gain(loop: LoopMatrices, noise: FilterNoise) -> Matrix | None:
-    """What a filter that has settled adds to its estimates of an innovation, (n_z, n_q).
+    """The gain of a filter that has settled, from innovations to states, (n_z, n_q).
 
-    Integrals and previous commands are known. None where a filter never settles.
+    It leaves integrals and previous commands as they are. None where a filter never settles.
     """
     n_x, n_q = len(noise.process), len(noise.measured)
     a, shown = loop.a[:n_x, :n_x], np.eye(n_q, n_x)
@@ -158,15 +165,15 @@ def with_filter(
         gain: of the filter.
         plant: what it is connected to, where that is not the model.
     """
-    (a, b), k = loop, feedback.gain
+    a, b = loop
     real = plant or loop
-    known = np.eye(len(a)) - gain @ np.eye(gain.shape[1], len(a))
-    new = np.eye(len(a)) - known
-    estimates = (a - b @ k) @ np.concatenate([new, known], axis=1)
-    joint = np.concatenate([np.concatenate([real.a, np.zeros_like(a)], axis=1), estimates])
+    measured = gain @ np.eye(gain.shape[1], len(a))
+    # what is estimated after a measurement, by the states and by what was expected of them
+    estimate = np.concatenate([measured, np.eye(len(a)) - measured], axis=1)
+    states = np.concatenate([real.a, np.zeros_like(a)], axis=1)
+    joint = np.concatenate([states, (a - b @ feedback.gain) @ estimate])
     inputs = np.concatenate([real.b, np.zeros_like(b)])
-    acting = replace(feedback, gain=k @ np.concatenate([new, known], axis=1))
-    return LoopMatrices(joint, inputs), acting
+    return LoopMatrices(joint, inputs), replace(feedback, gain=feedback.gain @ estimate)
 
 
 def usual_frequencies(dt: float) -> Numbers:

@@ -141,9 +141,9 @@ class Columns:
         )
 
     def _match_element(self, name: str) -> re.Match[str] | None:
-        signal = _SIGNAL.match(name)
         if self.rows is not None:  # a text has no arrays: `pos (3)` is a column
             return None
+        signal = _SIGNAL.match(name)
         if signal is not None and f"{signal['export']}.time" in self.names:
             return None
         match = _ELEMENT.fullmatch(name)

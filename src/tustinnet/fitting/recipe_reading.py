@@ -45,7 +45,6 @@ def read_recipe(
         InputError: no such recipe; an unknown key, one that is changed twice, or a wrong value.
     """
     changes = [changes] if isinstance(changes, str) else changes
-    forces = list[str]()
     keys = [change.partition("=")[0].strip() for change in changes]
     for i, key in enumerate(keys):
         if key in keys[:i]:
@@ -60,13 +59,14 @@ def read_recipe(
     else:
         name, forces = split_forces(str(which))
         content, where = read_packaged(name, RECIPE_HOMES)
+        if forces and "model.forces" in keys:
+            what = f"'model.forces', and forces in '{which}'"
+            raise InputError("`changes=`", what, "one of them")
         if forces:
             where = f"recipe '{which}'"
             content["name"] = " + ".join((content.get("name", name), *forces))
             model = content.setdefault("model", {})
             model["forces"] = [*model.get("forces", ()), *forces]
-    if forces and "model.forces" in keys:
-        raise InputError("`changes=`", f"'model.forces', and forces in '{which}'", "one of them")
     for change in changes:
         _apply_change(content, change)
     return declare_recipe(content, where)

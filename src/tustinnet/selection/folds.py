@@ -13,7 +13,7 @@ from tustinnet.fitting.recipe import Recipe
 from tustinnet.fitting.roles import Roles, records_without_test
 
 FOLDS = 5  # unless another number is given, or there are fewer records
-FEWEST_RECORDS = 3  # records that folds need: one is scored, one chooses, the others train
+_FEWEST = 3  # records that folds need: one is scored, one chooses, the others train
 _PIECES = 6  # that fewer records are cut into, all together
 _SHORTEST = 100  # samples of a piece, or of a record unless there are many such
 _LITTLE = 0.1  # of all samples, that short records have which are left out
@@ -47,7 +47,7 @@ def kind_of(name: str) -> str:
 
 def usual_folds(records: int) -> int:
     """Into how many folds some records are split where nobody says it."""
-    return min(FOLDS, records)
+    return max(_FEWEST, min(FOLDS, records))
 
 
 def split_into_folds(data: DataSet, folds: int | None = None) -> list[FoldSplit]:
@@ -101,7 +101,7 @@ def prepare_for_folds(data: DataSet) -> tuple[DataSet, list[Finding]]:
     if 0 < sum(map(len, short)) < _LITTLE * sum(map(len, records)):
         records = [e for e in records if len(e) >= _SHORTEST]
         findings.append(make_finding("short records", records=names_of(short), fewest=_SHORTEST))
-    if len(records) >= FEWEST_RECORDS:
+    if len(records) >= _FEWEST:
         return replace(data, experiments=tuple(records)), findings
     if not records:
         raise InputError(data.name, "test records alone", "records to fit to")

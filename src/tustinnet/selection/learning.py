@@ -23,7 +23,7 @@ from tustinnet.selection.cross_validation import (
     fit_splits,
     prepare_for_validation,
 )
-from tustinnet.selection.folds import FEWEST_RECORDS, FoldSplit, split_into_folds, usual_folds
+from tustinnet.selection.folds import FoldSplit, split_into_folds, usual_folds
 from tustinnet.selection.jobs import Job, RunContext
 from tustinnet.selection.runner import Workplace
 from tustinnet.selection.scoring import RecipeScorer
@@ -162,7 +162,7 @@ def draw_records(
             "for instance `records=` 2,4,8",
         )
     count = len(records_without_test(data))
-    folds = folds or max(usual_folds(count), FEWEST_RECORDS)
+    folds = folds or usual_folds(count)
     splits = split_into_folds(data, folds) if count >= folds else []
     most = min((len(s.roles.all) for s in splits), default=0)
     if not sizes and most >= FEWEST:

@@ -593,8 +593,8 @@ def find_families(
         plain = [w for w in reading.words if not w.isdigit() and w not in ("x", "y", "z")]
         plain = [w for w in plain if w not in AXES] or plain
         which = [w for w in plain[1:] if len(w) == 1 and w in places]  # `motor angle A`
-        marks = [w for w in plain if w in known or (len(w) <= 2 and w not in places)]
-        marks = [w for w in marks if w not in which]
+        named = [w for w in plain if w not in which]
+        marks = [w for w in named if w in known or (len(w) <= 2 and w not in places)]
         # one letter may also say which, as in `current A` beside `current B`
         unit = reading.unit if reading.in_brackets or len(reading.unit) > 1 else ""
         key = (*(marks or plain), "#" * len(which), unit) if plain else (str(i),)
