@@ -228,8 +228,9 @@ class RecordDesign(Brief):
         v: velocities, (n, n_q).
         a: accelerations, (n, n_q).
         u: inputs that are expected, (n, n_u), in the units of the inputs.
-        force: forces of the actuators that are expected, (n, n_q) [N m or N].
-        noise: force that is taken to be missing at each coordinate, (n_q,) [N m or N].
+        force: forces of the actuators that are expected, (n, n_q).
+        force_units: the unit of the force on each coordinate.
+        noise: force that is taken to be missing at each coordinate, (n_q,).
         base_parameters: base parameters, the best determined one first.
         by_random: errors of random motions within the limits by those of this one: the geometric
             mean over the base parameters, the median over the motions.
@@ -246,6 +247,7 @@ class RecordDesign(Brief):
     a: Float[np.ndarray, "n n_q"]
     u: Float[np.ndarray, "n n_u"]
     force: Float[np.ndarray, "n n_q"]
+    force_units: tuple[str, ...]
     noise: Float[np.ndarray, " n_q"]
     base_parameters: tuple[BaseParameter, ...]
     by_random: float
@@ -545,6 +547,7 @@ def _find_motion(
         a,
         u,
         force,
+        tuple(map(system.force_unit, system.coordinates)),
         noise,
         _base_parameters(dynamics, combinations, file, before, expected),
         float(np.median(ratios)),

@@ -100,8 +100,8 @@ def sentences(design: RecordDesign) -> list[str]:
     periods = round(design.options.seconds * design.motion.frequency)
     has_records = design.base_parameters[0].known is not None
     noise = ", ".join(
-        f"{c.name} {x:.2g} {'N m' if c.kind == 'angular' else 'N'}"
-        for c, x in zip(design.channels.coordinates, design.noise, strict=True)
+        f"{name} {x:.2g} {unit}"
+        for name, x, unit in zip(names, design.noise, design.force_units, strict=True)
     )
     lines = [
         f"{counted(len(design.base_parameters), 'base parameter')}; by random motions within the "
@@ -141,7 +141,6 @@ def design_figure(design: RecordDesign) -> Figure:
             rates = [
                 None if x is None else (-x, x) for x in (own.velocity, own.acceleration, own.force)
             ]
-            force_unit = "N m" if c.kind == "angular" else "N"
             for axes, values, ends, what in zip(
                 panels[j],
                 (design.q, design.v, design.a, design.force),
@@ -150,7 +149,7 @@ def design_figure(design: RecordDesign) -> Figure:
                     f"position [{c.unit}]",
                     f"velocity [{c.unit}/s]",
                     f"acceleration [{c.unit}/s²]",
-                    f"force [{force_unit}]",
+                    f"force [{design.force_units[j]}]",
                 ),
                 strict=True,
             ):
