@@ -66,6 +66,14 @@ def test_sentences_say_values(template, values, sentence):
     assert put_in_words(template, values) == sentence
 
 
+def test_true_and_false_of_numpy_are_no_words() -> None:
+    for flickers, text in ((np.True_, " by more than one count"), (np.False_, "")):
+        finding = make_finding("dead sensor", flickers=flickers, value=0.0, unit="rad", samples=9)
+        assert put_in_words(WORDS["dead sensor"].text, {"channel": "q", **finding.values}) == (
+            f"q never changes{text}"
+        )
+
+
 def test_a_code_has_one_sentence():
     assert len(WORDS) == len(CHECK) + len(IDENTIFICATION) + len(PREPARATION) + len(SELECTION)
 

@@ -92,6 +92,8 @@ class Finding:
 def make_finding(code: str, /, **values: Any) -> Finding:
     """A finding by its code and values, of the severity that its sentence has."""
     sentence = WORDS[code]
+    # numbers of numpy as those of Python: its True and False are neither in sentences
+    values = {n: x.item() if getattr(x, "ndim", None) == 0 else x for n, x in values.items()}
     return Finding(code, values, sentence.severity, put_in_words(sentence.mend, values))
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.io
 from simulated.laboratories import twins
 
 import tustinnet as tn
@@ -714,6 +715,7 @@ def test_derivatives_in_words_are_no_positions(tmp_path: Path) -> None:
         "| Column | Name | Unit |\n|---:|---|---|\n| 1 | `t` | s |\n| 2 | `u` | V |\n"
         "| 3 | `angle` | deg |",
         "Columns:\n| time (in s) | u (in V) | angle (in deg) |\n|---|:---:|---|",
+        "1. By:\n2. About:\n3. Rig:\n\tColumn 1: t\n\tColumn 2: u\n\tColumn 3: angle",
     ],
 )
 def test_a_readme_names_columns_that_have_no_header(text: str, tmp_path: Path) -> None:
@@ -965,3 +967,57 @@ def test_a_table_beside_the_logs_says_units(tmp_path: Path) -> None:
     made = draft(tmp_path, {"y": moved_by(u)[0], "u": u})
     assert [(c.column, c.unit) for c in made.choice.coordinates] == [("y", "mm")]
     assert [i.unit for i in made.choice.inputs] == ["A"]
+
+
+def test_times_that_are_there_twice_are_no_input_and_matrices_are_described(
+    tmp_path: Path,
+) -> None:
+    u, t = levels(63), DT * np.arange(N)
+    x, _ = moved_by(u)
+    matrices = {"theta": np.column_stack([t, 2 * u, x]), "Vm": np.column_stack([t, u])}
+    scipy.io.savemat(tmp_path / "a.mat", matrices)
+    text = "theta : time (s), desired angle of the arm (deg), angle (deg)\nVm: time (s), in V\n"
+    (tmp_path / "notes.txt").write_text(text)
+    made = draft_card(tmp_path, ["a.mat"])
+    assert [c.column for c in made.choice.coordinates] == ["theta[3]"]
+    assert [i.column for i in made.choice.inputs] == ["Vm[2]"]
+    assert next(c.role for c in made.columns if c.name == "theta[2]") == "set point"
+    (tmp_path / "notes.txt").unlink()
+    made = draft_card(tmp_path, ["a.mat"])
+    assert "Vm[1]" not in [i.column for i in made.choice.inputs]
+
+
+def test_samples_that_a_sensor_lost_are_left_out(tmp_path: Path) -> None:
+    u = levels(64)
+    x, _ = moved_by(u)
+    x[[200, 700]] = np.nan
+    made = draft(tmp_path, {"angle_rad": x, "u": u})
+    assert 'damaged_rows = "skip"' in made.text
+    assert any("2 damaged rows" in note for note in made.notes)
+    assert sum(map(len, tn.load(tmp_path))) == N  # filled by resampling
+
+
+def test_files_that_name_positions_are_the_records_and_a_card_has_one_period(
+    tmp_path: Path,
+) -> None:
+    u = levels(65)
+    x, _ = moved_by(u)
+    for k, ticks in enumerate((1, 1, 2)):
+        lines = [f"# SAMPLE_TIME = {ticks * DT}", "# NAME0 = angle", "# NAME1 = u"]
+        rows = [f"{a:.6f} {b:.6f}" for a, b in zip(x, u, strict=True)]
+        (tmp_path / f"r{k}.dat").write_text("\n".join([*lines, *rows]))
+        states = np.column_stack([np.arange(N), u[::-1], u])
+        np.savetxt(tmp_path / f"s{k}.csv", states, "%.6g", ",", header="s,d0,d1", comments="")
+    files = [f"{kind}{k}.{end}" for kind, end in (("s", "csv"), ("r", "dat")) for k in range(3)]
+    made = draft_card(tmp_path, files)
+    assert made.dt == DT
+    assert [c.column for c in made.choice.coordinates] == ["angle"]
+    assert "left out: r2.dat: a period of 0.02 s, and not 0.01 s" in made.notes
+
+
+def test_the_way_that_a_position_has_gone_is_none(tmp_path: Path) -> None:
+    u = levels(66)
+    x, _ = moved_by(u)
+    way = np.concatenate([[0], np.cumsum(np.abs(np.diff(x)))])
+    made = draft(tmp_path, {"slide_m": x, "trip_m": way, "u": u})
+    assert uses(made) == {"slide_m": "coordinate", "trip_m": "", "u": "input"}

@@ -292,6 +292,18 @@ def test_columns_in_pairs_have_times_of_their_own(tmp_path: Path) -> None:
     }
 
 
+def test_channels_that_end_before_others_lack_their_last_cells(tmp_path: Path) -> None:
+    settings = "Name\tangle\tName\ttemp\nSymbolComment\tdeg\tSymbolComment\tin the motor\n"
+    settings += "SampleTime[ms]\t2\tSampleTime[ms]\t10\n\n"
+    rows = [f"{2 * k}\t{k},5" + (f"\t{10 * k}\t39,5" if k < 8 else "") for k in range(40)]
+    (tmp_path / "scope.csv").write_text(settings + "\n".join(rows) + "\nEOF\n")
+    columns = read_columns(tmp_path / "scope.csv")
+    np.testing.assert_array_equal(columns["angle"], np.arange(40) + 0.5)
+    np.testing.assert_allclose(columns["temp/time"], 0.01 * np.arange(8))
+    assert columns.units["angle"] == "deg"
+    assert "temp" not in columns.units
+
+
 def test_names_of_several_words_stand_far_apart(tmp_path: Path) -> None:
     table = "0.0  1.5\n0.1  2.5\n"
     assert read(tmp_path, f"% time (s)   arm angle (rad)\n{table}").names == (
@@ -397,6 +409,9 @@ RATES = {
     "Operator: Sam, 12.03.2024": None,
     "t,angle,u": None,
     "Samples: 3000": None,
+    "# SAMPLE_TIME = 0.0002000": 2e-4,
+    "Sampling time: 0.02 sec": 0.02,
+    "X,CH1,Start,Increment\nSequence,Volt,-0.24,2e-3": 2e-3,
 }
 
 

@@ -27,6 +27,7 @@ HEXADECIMAL = re.compile(r"0x[0-9a-f]+", re.IGNORECASE)
 NUMBER = re.compile(
     rf"[-+]?({_DIGITS}([ed][-+]?\d+)?|nan|inf|infinity)|{HEXADECIMAL.pattern}", re.IGNORECASE
 )
+_NOT_A_NUMBER = {"nan", "+nan", "-nan"}
 # in any country: thousands are separated by a mark, and the other one begins the decimals
 _GROUPED = (
     r"\d{1,3}(,\d{3})+(\.\d*)?|\d{1,3}(\.\d{3})+(,\d+)?"
@@ -358,10 +359,19 @@ class Table:
 
     def is_sample(self, row: Sequence[str], *, is_whole: bool = False) -> bool:
         """Whether a row has numbers where the others have some; if `is_whole`, in every column."""
-        cells = [row[j] for j in self.numeric] if len(row) == self.width else []
+        cells = self._cells(row)
         if is_whole:
             return bool(cells) and all(map(self.is_value, cells))
         return any(cells) and all(not cell or self.is_value(cell) for cell in cells)
+
+    def is_complete(self, row: Sequence[str]) -> bool:
+        """Whether a row has a finite number, or a date, in every column of numbers."""
+        lacks_some = any(cell.lower() in _NOT_A_NUMBER for cell in self._cells(row))
+        return self.is_sample(row, is_whole=True) and not lacks_some
+
+    def _cells(self, row: Sequence[str]) -> list[str]:
+        """The cells of a row in the columns of numbers; empty where it has another length."""
+        return [row[j] for j in self.numeric] if len(row) == self.width else []
 
     def is_remark(self, row: Sequence[str]) -> bool:
         """Whether only the first cells have texts: a title, or a setting and its value."""

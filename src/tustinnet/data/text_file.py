@@ -59,13 +59,14 @@ _NO_VALUE = r"(?i)^\s*(nan|null|none)?\s*$"  # a cell without a value
 _COMMENT = "\tComment"  # a last column of LabVIEW, of which rows may have no cell
 _PREAMBLE = 300  # lines above a table, at most
 _EMPTY = " \t,;|"  # marks between cells: at the end of a file a row of nothing else
+_END = re.compile("(?i)(eof|end of file)?")
 _COLUMNS_ARE = re.compile(r"(?i)(col|spalt|field|feld|variab|header|format|names?)\w*\s*:")
 _MARKUP = " `*"
 _RULE = re.compile(r"[ |:]*-[-|: ]*\|[-|: ]*")  # below the head of a table in Markdown
 _LIST = r"^\s*\[[-+.,;\deE\s]+\]\s*$"  # of numbers
 _LIST_MARK = re.compile(r"^\s*(?:[*+-]|\d+[.)])*\s*")
 _IS = re.compile(r"\s*[:=]\s+|\s+[-\u2013\u2014]\s+")  # between a name and what it means
-_NUMBERED_NAME = re.compile(r"(?i)(?:col\w*\s*)?((?:\d+[\s,]*)+)[:.)=-]?\s*([^\W\d].*)")
+_NUMBERED_NAME = re.compile(r"(?i)((?:col|name)\w*?\s*)?((?:\d+[\s,]*)+)[:.)=-]?\s*([^\W\d].*)")
 
 
 def read_text(
@@ -291,6 +292,7 @@ def _find_rows(
     dialect = find_dialect(lines, delimiter, decimal, prefers_tabs=tabs, where=path)
     if dialect.delimiter != "\t":  # empty cells between tabs are a row
         lines = [(row, line) for row, line in lines if line.strip()]
+    lines = _with_ended_columns(lines, dialect)
     if dialect.delimiter == BLANKS:
         lines = _without_blanks_in_names(lines, dialect)
     lines, omission = _without_further_names(_without_last_marks(lines, dialect), dialect)
@@ -311,7 +313,7 @@ def _find_rows(
     if skips_damaged:
         step = max(1, len(lines) // SAMPLE_LINES)
         shape = find_table([dialect.split(line) for _, line in lines[::step]], dialect)
-        is_sample = [shape.is_sample(dialect.split(line), is_whole=True) for _, line in lines]
+        is_sample = [shape.is_complete(dialect.split(line)) for _, line in lines]
         begin = next((k for k, is_one in enumerate(is_sample) if is_one), 0)
         heading = [line for line in lines[:begin] if len(dialect.split(line[1])) == shape.width]
         samples = [line for line, is_one in zip(lines, is_sample, strict=True) if is_one]
@@ -331,7 +333,7 @@ def _lines(text: str) -> tuple[Lines, list[str]]:
             comments += [] if lines else [comment_text(line)]
         elif line.strip() or "\t" in line:
             lines.append((row, line))
-    while lines and not lines[-1][1].strip(_EMPTY):
+    while lines and _END.fullmatch(lines[-1][1].strip(_EMPTY)):
         lines.pop()
     for k, (row, line) in enumerate(lines[:_PREAMBLE]):
         if line.endswith(_COMMENT) and line.count("\t") > lines[-1][1].count("\t"):
@@ -381,6 +383,21 @@ def _without_sections(lines: Lines) -> Lines:
             _, time, value, *_ = (*line.split(";"), "")
             rows.append((row, f"{time};{name};{value}"))
     return [(lines[0][0], "time;signal;value"), *rows] if rows else lines
+
+
+def _with_ended_columns(lines: Lines, dialect: Dialect) -> Lines:
+    """Lines with empty cells where the last columns have ended before others, as slow channels."""
+    mark = dialect.delimiter
+    counts = [line.count(mark) for _, line in lines]
+    first = max((k for k, (a, b) in enumerate(pairwise(counts), start=1) if a < b), default=0)
+    rows, widest = Counter(counts[first:]), counts[first]
+    if mark == BLANKS or len(rows) < 2 or min(rows.values()) < LAST_ROWS:
+        return lines
+    _, last = lines[first + rows[widest] - 1]
+    if not all(dialect.is_number(cell) for cell in dialect.split(last) if cell):
+        return lines  # lines above the table are wider
+    ended = zip(lines[first:], counts[first:], strict=True)
+    return [*lines[:first], *((row, line + (widest - n) * mark) for (row, line), n in ended)]
 
 
 def _without_last_marks(lines: Lines, dialect: Dialect) -> Lines:
@@ -513,7 +530,7 @@ def _row_in_text(line: str) -> str:
     """A row of a table in Markdown as a number, a name and its unit; other lines without marks."""
     number, name, unit, *_ = [*_cells_in_text(line), "", ""]
     if not (number.isdigit() and name):
-        return line.strip(" *-#")
+        return line.strip(" \t*-#")
     return f"{number}: {name}" + (f" [{unit}]" if unit and is_unit(unit) else "")
 
 
@@ -523,9 +540,11 @@ def _numbered_names(comments: Sequence[str], width: int) -> list[str] | None:
     What stands behind several numbers, `# 3 4 speed left, right`, is the name of each.
     """
     names: dict[int, str] = {}
-    for match in filter(None, map(_NUMBERED_NAME.fullmatch, comments)):
-        numbers = [int(number) for number in re.findall(r"\d+", match[1])]
-        names |= {n: f"{match[2]} {n}" if len(numbers) > 1 else match[2] for n in numbers}
+    matches = [*filter(None, map(_NUMBERED_NAME.fullmatch, comments))]
+    # what says that it is of a column, else of other numbers, as of chapters
+    for match in [m for m in matches if m[1]] or matches:
+        numbers = [int(number) for number in re.findall(r"\d+", match[2])]
+        names |= {n: f"{match[3]} {n}" if len(numbers) > 1 else match[3] for n in numbers}
     first = 0 if 0 in names else 1
     return labels_of_columns({n - first + 1: name for n, name in names.items()}, width)
 

@@ -9,7 +9,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from tustinnet.data.text_dialect import Header, Table
+from tustinnet.data.text_dialect import Header, Table, is_unit
 from tustinnet.data.units import TIME
 
 _NAMES = ("name", "signal", "symbol", "symbolname", "channel", "variable")
@@ -86,8 +86,11 @@ class _Described:
 
     @property
     def units(self) -> dict[str, str]:
-        """The units by the names of columns, as far as they are known."""
-        texts = next((self.rows[word] for word in _UNITS if word in self.rows), [])
+        """The units by the names of columns, as far as they are known, also from comments."""
+        texts = next((self.rows[word] for word in _UNITS if word in self.rows), None)
+        comments = next((row for word, row in self.rows.items() if "comment" in word), [])
+        if texts is None:
+            texts = [text if is_unit(text) else "" for text in comments]
         pairs = zip(self.names, texts, strict=False)
         return {name: _QUANTITY.sub("", text) for name, text in pairs if text}
 

@@ -2,9 +2,10 @@
 
 import re
 from collections.abc import Mapping
+from itertools import pairwise, starmap
 from pathlib import Path
 
-from tustinnet.data.text_dialect import SAMPLE_LINES, decode
+from tustinnet.data.text_dialect import SAMPLE_LINES, comment_text, decode, is_comment
 from tustinnet.data.units import TIME
 from tustinnet.errors import InputError
 
@@ -17,15 +18,16 @@ _RATE = re.compile(
 )
 _INTERVAL = re.compile(
     rf"(?i)(?:(?:{_WORDS})[ _]?(?:time|interval|period|zeit|intervall)|abtastzeit|\bts|\bdt"
-    rf"|\bdelta_?[xt])\b{_BETWEEN}{_NUMBER}\s*\[?(s|ms|us|\u00b5s|ns)\b"
+    rf"|\bdelta_?[xt])\b{_BETWEEN}{_NUMBER}\s*\[?(s|ms|us|\u00b5s|ns)(?:ec\w*)?\b"
 )
 _ALONE = re.compile(r"(?:the number )?(\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)")
 _NAME_OF_PERIOD = re.compile(
-    r"(?i)(?:^|[/_.])(?:t_?s|dt|sampl\w*_?(?:time|period|interval)|abtastzeit)$"
+    r"(?i)(?:^|[/_.])(?:t_?s|dt|sampl\w*_?(?:time|period|interval)|abtastzeit|(?:t_?)?increment)$"
 )
 _NAME_OF_RATE = re.compile(
     r"(?i)(?:^|[/_.])(?:fs|f_s|hz|fps|sampl\w*_?(?:rate|freq\w*)|abtastrate)$"
 )
+_INCREMENT = re.compile(r"(?i)(?:t_?)?increment")
 # a period of 100 ms or more is rather how long something lasts
 _IN_NAME = re.compile(r"(?<![\d.,])(\d{1,2}(?=ms)|\d{1,5}(?=us))(ms|us)(?![a-z])")
 
@@ -73,7 +75,8 @@ def period_in_script(text: str) -> float | None:
 def find_period(path: Path) -> float | None:
     """The sampling period [s] that the first lines of a text file say, None where they say none.
 
-    Such lines are `Abtastrate: 1000 Hz`, `FREQUENCY 200`, `# sampling interval = 5 ms`.
+    Such lines are `Abtastrate: 1000 Hz`, `FREQUENCY 200`, `# sampling interval = 5 ms`, or a
+    number below the name `Increment`, as of an oscilloscope.
 
     Args:
         path: the file.
@@ -82,15 +85,34 @@ def find_period(path: Path) -> float | None:
         lines = decode(path, None)[0].splitlines()[:SAMPLE_LINES]
     except InputError:
         return None
-    for line in lines:
-        plain = line.replace("\t", " ").replace(";", " ").strip()
-        if (match := _INTERVAL.search(plain)) is not None:
-            unit = match[2].lower().replace("\u00b5", "u")
-            period = float(match[1].replace(",", ".")) * TIME[unit]
-        elif (match := _RATE.search(plain)) is not None:
-            rate = float((match[1] or match[3]).replace(",", "."))
-            period = 1 / (rate * (1000 if match[2] else 1)) if rate else 0.0
-        else:
-            continue
-        return period or None
+    return (
+        next(filter(None, map(_period_in, lines)), None)
+        or period_in_script("\n".join(map(comment_text, filter(is_comment, lines))))
+        or next(filter(None, starmap(_period_below, pairwise(lines))), None)
+    )
+
+
+def period_in_prose(text: str) -> float | None:
+    """The only period [s] that a text about records says, as `Sampling time: 0.02 sec`."""
+    parts = re.split(r"(?<=[.;])\s|\n\s*\n", text)
+    (period, *others) = {*map(_period_in, parts)} - {None} or {None}
+    return None if others else period
+
+
+def _period_below(names: str, values: str) -> float | None:
+    """The period [s] below its name in two lines of settings."""
+    cells = (re.split(r"[,;\t]", line) for line in (names, values))
+    numbers = {name.strip(): cell.strip() for name, cell in zip(*cells, strict=False)}
+    return period_in_numbers({n: x for n, x in numbers.items() if _INCREMENT.fullmatch(n)})
+
+
+def _period_in(line: str) -> float | None:
+    """The period [s] that a line says, None where it says none."""
+    plain = " ".join(line.replace(";", " ").split())
+    if (match := _INTERVAL.search(plain)) is not None:
+        unit = match[2].lower().replace("\u00b5", "u")
+        return float(match[1].replace(",", ".")) * TIME[unit] or None
+    if (match := _RATE.search(plain)) is not None:
+        rate = float((match[1] or match[3]).replace(",", "."))
+        return 1 / (rate * (1000 if match[2] else 1)) if rate else None
     return None

@@ -183,6 +183,8 @@ class Assignment:
         total -= w.alone * (len(orphans) if positions else 0.5)
         second = self.pair_rates([*pairs] if positions else velocities, accelerations)
         total += sum(0.5 * float(t.slope[v, a]) for a, v in second.items())
+        # a number without a name that is the slope of no velocity
+        total -= w.no_slope * sum(t.is_nameless[a] for a in accelerations if a not in second)
         motion = [*positions, *velocities]
         total += sum(
             max(t.follow[r, motion].tolist(), default=-0.5 * w.no_follow) for r in set_points

@@ -1,5 +1,6 @@
 """The draft of a data card from a folder of logs."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -235,7 +236,7 @@ def draft_examined(
     if not examination.period_reason:
         dt = examination.clock.dt or _USUAL_PERIOD
         if (period := period_by_velocities(dt, findings)) is not None:
-            parts = examination.folder, examination.logs, examination.notes, findings.answers
+            parts = examination.folder, examination.logs, [*examination.notes], findings.answers
             examination = _examine(*parts, period)
             findings, choice = choose(examination)
     clock, numbers, notes = examination.clock, findings.numbers, [*examination.notes]
@@ -294,7 +295,7 @@ def draft_examined(
 def _examine(
     folder: Path,
     logs: Sequence[Log],
-    notes: Sequence[str],
+    notes: list[str],
     answers: Mapping[str, str],
     by_velocities: tuple[float, str] | None = None,
 ) -> Examination:
@@ -302,6 +303,7 @@ def _examine(
     readings = read_names(logs)
     clock, period_reason = find_clock(logs, readings), "the mean time between samples"
     if clock.dt is None:
+        logs = _keep_usual_period(folder, logs, notes.append)
         dt, period_reason = _find_period(folder, logs, answers, by_velocities)
         clock = replace(clock, dt=dt)
     motion = [n for n in readings if n != clock.column and n not in clock.others]
@@ -347,24 +349,37 @@ def _find_period(
     """The sampling period [s] of files without times, and the reason; empty where it is assumed."""
     if PERIOD in answers:
         return float(answers[PERIOD]), "as you say"
-    if (period := _said_period(folder, logs)) is not None:
+    if (period := _only_period({_said_period(folder, log) for log in logs})) is not None:
         return period, "by the sampling rate that the files say"
-    if (by_script := period_beside(folder)) is not None:
-        return by_script
+    if (by_text := period_beside(folder, {log.file for log in logs})) is not None:
+        return by_text
     if by_velocities is not None:
         return by_velocities
     return _only_period({period_in_name(log.file) for log in logs}) or _USUAL_PERIOD, ""
 
 
-def _said_period(folder: Path, logs: Sequence[Log]) -> float | None:
-    """The sampling period that lines or numbers beside the columns say, the same in all files."""
-    files = {log.file: folder / log.file for log in logs if is_text(folder / log.file)}
-    return _only_period(
-        {
-            find_period(files[log.file]) if log.file in files else period_in_numbers(log.texts)
-            for log in logs
-        }
-    )
+def _said_period(folder: Path, log: Log) -> float | None:
+    """The sampling period [s] that lines or numbers beside the columns of a file say."""
+    if is_text(folder / log.file):
+        return find_period(folder / log.file)
+    return period_in_numbers(log.texts)
+
+
+def _keep_usual_period(
+    folder: Path, logs: Sequence[Log], on_message: Callable[[str], None]
+) -> Sequence[Log]:
+    """The logs of the period that most samples have by what files say; all where some say none."""
+    periods = {log.file: _said_period(folder, log) for log in logs}
+    samples = Counter[float | None]()
+    for log in logs:
+        samples[periods[log.file]] += len(log)
+    usual = samples.most_common(1)[0][0]
+    if None in samples:
+        return logs
+    for file, period in periods.items():
+        if period != usual:
+            on_message(f"left out: {file}: a period of {period:g} s, and not {usual:g} s")
+    return [log for log in logs if periods[log.file] == usual]
 
 
 def _only_period(periods: set[float | None]) -> float | None:

@@ -21,6 +21,7 @@ from tustinnet.data.drafting.relations import (
     find_followers,
     find_other_units,
     find_sums,
+    find_ways,
 )
 from tustinnet.data.drafting.vocabulary import AXES, CONTAINERS, QUALIFIERS, STRONG, WEAK
 from tustinnet.data.units import ANGLE, LENGTH
@@ -88,7 +89,7 @@ class Weights:
         command: of a name that says a command, for a set point.
         derived: of a name that says a filtered or simulated value, for a column that is not used.
         later: less for an input for each stage of its drive before it, of which one is the input.
-        held: of levels that are held, for an input, and twice against a motion.
+        held: of levels that are held, for an input, and three times against a motion.
         white: of steps as large as those of white noise, against a position.
         smooth: of small steps, for a position.
         wrap: of values that start again after a turn, for a position.
@@ -243,7 +244,7 @@ def shape_evidence(numbers: Numbers, reading: NameReading) -> list[Evidence]:
         return [
             Evidence("input", w.held, "held levels"),
             Evidence("set point", 0.5 * w.held, "held levels"),
-            *(Evidence(role, -2 * w.held, "") for role in ("position", "velocity", "acceleration")),
+            *(Evidence(role, -3 * w.held, "") for role in ("position", "velocity", "acceleration")),
         ]
     evidence: list[Evidence] = []
     if numbers.wrap is not None:
@@ -281,6 +282,7 @@ class EvidenceTable:
         signal: the first of the columns that are copies of one another, for each.
         sums: columns of which two add up to the third.
         is_on_circle: whether two are the directions of a point on a circle.
+        is_nameless: whether a name says nothing at all.
         is_silent: whether a name says nothing where another one states a motion.
         is_free: whether a position moves others and is moved by nothing.
         blocks: of columns without names, positions and their velocities, see `find_blocks`.
@@ -301,6 +303,7 @@ class EvidenceTable:
         self.own = [
             [*name_evidence(r), *shape_evidence(numbers[n], r)] for n, r in readings.items()
         ]
+        self.is_nameless = [not r.quantities for r in self.readings]
         # where a name states a motion, one that says nothing is no position
         is_stated = any(r.stated(["position", "velocity"]) for r in self.readings)
         self.is_silent = [
@@ -319,7 +322,8 @@ class EvidenceTable:
         for one, other in itertools.permutations(self.blocks, 2):
             for joint in one.keys() & other.keys():
                 self.slope[one[joint], other[joint]] += WEIGHTS.member
-        are_apart = self.slope >= WEIGHTS.clear_slope
+        ways = find_ways(records)
+        are_apart = (self.slope >= WEIGHTS.clear_slope) | ways
         sums = find_sums(records)
         self.sums = [(i, j, k) for i, j, k in sums if k is not None]
         for three in self.sums:
@@ -342,6 +346,7 @@ class EvidenceTable:
         self._add_quaternions(records)
         self._add_errors(records, sums)
         self._add_copies()
+        self._add_ways(ways)
         self._add_nameless(records)
         self._add_commanded_rates()
         self._add_tool()
@@ -448,6 +453,14 @@ class EvidenceTable:
                 text = f"'{self.names[i]}' in another unit, or from another zero"
                 self.own[j].append(Evidence("other", WEIGHTS.derived, text))
 
+    def _add_ways(self, ways: Bool[np.ndarray, "c c"]) -> None:
+        """Evidence against the ways that positions have gone to and fro, as an odometer's."""
+        for i, j in np.argwhere(ways).tolist():
+            if self.says(i, "position") and self.says(j, "position"):
+                text = f"the way that '{self.names[i]}' has gone"
+                self.own[j].append(Evidence("other", WEIGHTS.useless, text))
+                self.own[j].append(Evidence("position", -WEIGHTS.useless, ""))
+
     def _add_tool(self) -> None:
         """Evidence against x, y and z beside numbered joints with velocities: of their tool."""
         w, family = WEIGHTS, np.array(self.family)
@@ -475,17 +488,11 @@ class EvidenceTable:
         return (factors != 0) & is_input & (is_scaled | is_other)
 
     def _add_nameless(self, records: Sequence[Table]) -> None:
-        """Evidence against numbers without a name as accelerations or inputs.
-
-        They are no acceleration where they are the slope of nothing, and the less an input the more
-        records there are in which they rest.
-        """
+        """Evidence against numbers without a name as inputs, by the records in which they rest."""
         rests = np.mean([np.ptp(record, axis=0) == 0 for record in records], axis=0)
-        for i, reading in enumerate(self.readings):
-            if not reading.quantities:
+        for i, is_nameless in enumerate(self.is_nameless):
+            if is_nameless:
                 self.own[i].append(Evidence("input", -WEIGHTS.held * float(rests[i]), ""))
-            if not reading.quantities and (self.slope[:, i] <= 0).all():
-                self.own[i].append(Evidence("acceleration", -WEIGHTS.no_slope, ""))
 
     def _add_commanded_rates(self) -> None:
         """Evidence on derivatives of set points, which drive nothing."""
@@ -597,7 +604,8 @@ def find_families(
         marks = [w for w in named if w in known or (len(w) <= 2 and w not in places)]
         # one letter may also say which, as in `current A` beside `current B`
         unit = reading.unit if reading.in_brackets or len(reading.unit) > 1 else ""
-        key = (*(marks or plain), "#" * len(which), unit) if plain else (str(i),)
+        qualifier = reading.qualifier or ""  # which a text beside the logs may say
+        key = (*(marks or plain), "#" * len(which), unit, qualifier) if plain else (str(i),)
         groups.setdefault(key, []).append(i)
     families = [*range(len(readings))]
     for members in groups.values():

@@ -2,7 +2,7 @@
 
 from tustinnet.channels import Input
 from tustinnet.data.drafting.findings import Choice, Findings, InputChoice, Question, range_text
-from tustinnet.data.drafting.names import NameReading, Quantity
+from tustinnet.data.drafting.names import INPUTS, NameReading, Quantity
 from tustinnet.data.drafting.positions import usual_unit
 from tustinnet.data.drafting.system_columns import input_factor
 from tustinnet.data.units import convert_to_si
@@ -81,9 +81,9 @@ def describe_system_input(column: str, channel: Input, findings: Findings) -> In
 
 
 def _unit_of_quantity(reading: NameReading) -> str:
-    """The usual unit of the quantity of which a name speaks most, "" of none."""
-    strongest = max(_QUANTITY_UNITS, key=lambda q: reading.quantities.get(q, 0.0))
-    return _QUANTITY_UNITS[strongest] if strongest in reading.quantities else ""
+    """The usual unit of the input of which a name speaks most, "" of none."""
+    strongest = max(INPUTS, key=lambda q: reading.quantities.get(q, 0.0))
+    return _QUANTITY_UNITS.get(strongest, "") if strongest in reading.quantities else ""
 
 
 def _to_si(unit: str) -> tuple[float, str]:

@@ -266,6 +266,8 @@ def _without_set_points(files: Sequence[str], on_message: Callable[[str], None])
 def keep_usual(logs: Sequence[Log], on_message: Callable[[str], None]) -> list[Log]:
     """The logs that have the columns of most samples, without others that some have beside them.
 
+    Columns that are named as positions go before others, which have up to twice as many samples.
+
     Args:
         logs: the logs.
         on_message: called with a sentence on each log that is left out.
@@ -273,7 +275,9 @@ def keep_usual(logs: Sequence[Log], on_message: Callable[[str], None]) -> list[L
     logs, samples = _name_as_others(logs, on_message), Counter[tuple[str, ...]]()
     for log in logs:
         samples[tuple(log.values)] += len(log)
-    usual = samples.most_common(1)[0][0]
+    _, most = samples.most_common(1)[0]
+    often = [names for names, count in samples.items() if 2 * count >= most]
+    usual = max(often, key=lambda names: (_has_position(names), samples[names]))
     for log in logs:
         # a file may have more columns than the others, and not fewer
         if not {*usual} <= {*log.values}:
@@ -284,6 +288,15 @@ def keep_usual(logs: Sequence[Log], on_message: Callable[[str], None]) -> list[L
         for log in logs
         if {*usual} <= {*log.values}
     ]
+
+
+def _has_position(names: Sequence[str]) -> bool:
+    return any(read_name(name.replace("/", ".")).stated(["position"]) for name in names)
+
+
+def _is_silent(name: str) -> bool:
+    """Whether a name states neither a position nor a velocity nor an input."""
+    return not read_name(name.replace("/", ".")).stated(("position", "velocity", *INPUTS))
 
 
 def _name_as_others(logs: Sequence[Log], on_message: Callable[[str], None]) -> Sequence[Log]:
@@ -315,11 +328,22 @@ def _read_file(folder: Path, file: str) -> list[Log]:
         if whole is None:
             raise
         return [whole]
-    if is_text(folder / file) and any(_DAMAGED.match(text) for text in logs[0].texts.values()):
+    if not is_text(folder / file):
+        return logs
+    has_texts = any(_DAMAGED.match(text) for text in logs[0].texts.values())
+    lacks_some = any(_lacks_some(name, values) for name, values in logs[0].values.items())
+    if has_texts or lacks_some:
         whole = _read_undamaged(folder, file)
-        if whole is not None and len(whole.values) > len(logs[0].values):
+        if whole is not None and (lacks_some or len(whole.values) > len(logs[0].values)):
             return [whole]
     return logs
+
+
+def _lacks_some(name: str, values: Values) -> bool:
+    """Whether a column that is named as a motion or an input has gaps between its numbers."""
+    finite = np.flatnonzero(np.isfinite(values))
+    has_gaps = len(finite) > 1 and len(finite) <= finite[-1] - finite[0]
+    return bool(has_gaps) and not _is_silent(name)
 
 
 def _read_undamaged(folder: Path, file: str) -> Log | None:
@@ -433,12 +457,8 @@ def _on_common_times(
 
 def _most_telling(columns: Columns) -> tuple[str, ...]:
     """Columns that are named as positions, velocities or inputs, then others, and their times."""
-
-    def is_silent(name: str) -> bool:
-        return not read_name(name.replace("/", ".")).stated(("position", "velocity", *INPUTS))
-
     own = [name for name in columns.names if columns.clocks.get(name) != name]
-    chosen = {*sorted(own, key=is_silent)[:_MOST_COLUMNS]}
+    chosen = {*sorted(own, key=_is_silent)[:_MOST_COLUMNS]}
     chosen |= {columns.clocks[name] for name in chosen if name in columns.clocks}
     return tuple(name for name in columns.names if name in chosen)
 
@@ -501,6 +521,12 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     best = max(candidates, key=lambda candidate: round(candidate[0], 3))[1]
     others |= {name: "rises as a clock does" for _, name in candidates if name != best}
     times = [log.values[best] for log in logs]
+    others |= {
+        name: "the same times"
+        for name in readings
+        if name not in {best, *others}
+        and all(np.array_equal(log.values[name], log.values[best]) for log in logs)
+    }
     others |= {
         name: "counts with the time"
         for name in readings

@@ -80,6 +80,7 @@ _BEFORE_AXES = {*"uefiwva"}
 """Letters that say the quantity of what is about an axis, as `u_roll`."""
 _NO_UNITS = {"", "-", "1", "none", "au", "a.u", "bit", "raw"}
 
+_FURTHER = re.compile(r"[,;(]|\b(?:of|to|from|relative)\b")  # behind what a column is
 _SYMBOL = re.compile(
     r"(?P<before>d{0,2})(?P<symbol>theta|phi|psi|alpha|beta|gamma|th|q|x|y|z|s|pos|angle|ang)"
     r"(?P<behind>ddot|dot|pp|p|dd|d|punkt)?"
@@ -156,14 +157,16 @@ class NameReading:
         """The reading, with the unit in a description; where the name says little, with all of it.
 
         Args:
-            text: what is written of the column elsewhere.
+            text: what is written of the column elsewhere. What it is says it first, as in
+                `desired angle of the arm`.
         """
         described = read_name(text)
+        qualifier = read_name(_FURTHER.split(text)[0]).qualifier or self.qualifier
         if described.quantities and not self.stated(self.quantities):
-            qualifier = described.qualifier or self.qualifier
-            return replace(described, name=self.name, qualifier=qualifier)
+            return replace(described, name=self.name, qualifier=described.qualifier or qualifier)
         has_unit = described.unit and described.in_brackets and not self.unit
-        return read_name(self.name, described.unit) if has_unit else self
+        reading = read_name(self.name, described.unit) if has_unit else self
+        return replace(reading, qualifier=qualifier)
 
 
 def read_name(name: str, file_unit: str = "") -> NameReading:

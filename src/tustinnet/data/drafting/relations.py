@@ -229,6 +229,17 @@ def find_other_units(records: Sequence[Table]) -> Bool[np.ndarray, "c c"]:
     return is_unit & (np.atleast_2d(np.corrcoef(table.T)) > RELATION.one)
 
 
+@np.errstate(all="ignore")  # of what stands still
+def find_ways(records: Sequence[Table]) -> Bool[np.ndarray, "c c"]:
+    """Marks columns j that add up how far columns i have gone, whatever the direction, [i, j]."""
+    steps = np.concatenate([np.diff(record, axis=0) for record in records])
+    rises = np.asarray((steps >= 0).all(axis=0))
+    if len(steps) < 2:
+        return np.zeros((rises.size, rises.size), bool)
+    alike = np.atleast_2d(np.corrcoef(np.abs(steps).T)) > RELATION.one
+    return alike & rises & ~rises[:, None]
+
+
 def find_copy(first: Sequence[Values], second: Sequence[Values]) -> float:
     """The factor of a column that repeats another one, nearly; 0 where it does not.
 

@@ -1,7 +1,7 @@
 """Texts beside logs: READMEs that describe their columns, and scripts that read them."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -11,12 +11,13 @@ from tustinnet.data.columns import are_numbers
 from tustinnet.data.drafting.logs import Log
 from tustinnet.data.text_dialect import decode
 from tustinnet.data.text_file import find_descriptions, find_names, labels_of_columns
-from tustinnet.data.text_rate import period_in_script
+from tustinnet.data.text_rate import period_in_prose, period_in_script
 from tustinnet.errors import InputError
 
 _LONGEST = 100_000  # characters of a text
-_README, _SCRIPTS = ("[Rr][Ee][Aa][Dd][Mm][Ee]*", "*.md"), ("*.m", "*.py")
+_NOTES, _SCRIPTS = ("[Rr][Ee][Aa][Dd][Mm][Ee]*", "*.md", "*.txt"), ("*.m", "*.py")
 _TEXT = r"""(?:"[^"\n]*"|'[^'\n]*')"""
+_IN_BRACKETS = re.compile(r"\s*(?:\[[^]]*\]|\([^)]*\))$")
 _COLUMN_OF_MATRIX = re.compile(r"\w+\[\d+\]")
 # `{'time', 'voltage', 'angle'}`, but what a legend has
 _LIST = re.compile(rf"(?<!legend\()[\[{{]\s*({_TEXT}(?:[\s,;.]+{_TEXT})+)\s*[\]}}]")
@@ -31,7 +32,7 @@ _TAKEN_BY_NAME = re.compile(rf"(?m)^[ \t]*(\w+)\s*=\s*\w[\w.]*[\[(]\s*({_TEXT})\
 def name_as_described(
     folder: Path, logs: Sequence[Log], on_message: Callable[[str], None]
 ) -> Sequence[Log]:
-    """The logs with what a README or a script in their folder says of their columns.
+    """The logs with what a text or a script in their folder says of their columns.
 
     Names of columns that have none, or descriptions of those that have.
 
@@ -45,11 +46,14 @@ def name_as_described(
     if is_bare or all(map(_COLUMN_OF_MATRIX.fullmatch, names)):
         names.sort(key=lambda name: int(re.findall(r"\d+", name)[-1]))
         is_bare = len({name.split("[")[0] for name in names}) == 1 or is_bare
-    for path, text in _read(folder, _README):
+    for path, text in _read_notes(folder, {log.file for log in logs}):
         lines = text.splitlines()
         if is_bare and (labels := find_names(lines, len(names))):
-            return _label(logs, path, dict(zip(names, labels, strict=True)), on_message)
-        if not is_bare and (texts := find_descriptions(lines, names)):
+            columns = dict(zip(labels, names, strict=True))
+            texts = {columns[n]: text for n, text in find_descriptions(lines, labels).items()}
+            described = [replace(log, descriptions=texts) for log in logs]
+            return _label(described, path, {n: a for a, n in columns.items()}, on_message)
+        if not is_bare and (texts := _descriptions(lines, names)):
             return _describe(logs, path, texts, on_message)
     for path, text in _read_scripts(folder):
         if is_bare and (labels := _names_in_script(text, len(names))):
@@ -60,17 +64,31 @@ def name_as_described(
     return logs
 
 
-def period_beside(folder: Path) -> tuple[float, str] | None:
-    """The sampling period [s] that scripts in a folder say, with the reason; None where none does.
+def period_beside(folder: Path, files: Collection[str]) -> tuple[float, str] | None:
+    """The sampling period [s] that texts in a folder say, with the reason; None where none does.
 
     Of several they say the same.
     """
-    by_script = {path.name: period_in_script(text) for path, text in _read_scripts(folder)}
-    periods = {name: x for name, x in by_script.items() if x and SHORTEST_DT <= x <= LONGEST_DT}
+    by_text = {path.name: period_in_script(text) for path, text in _read_scripts(folder)}
+    by_text |= {path.name: period_in_prose(text) for path, text in _read_notes(folder, files)}
+    periods = {name: x for name, x in by_text.items() if x and SHORTEST_DT <= x <= LONGEST_DT}
     if len({*periods.values()}) != 1:
         return None
     name, period = next(iter(periods.items()))
     return period, f"as {name} has it"
+
+
+def _descriptions(lines: Sequence[str], names: Sequence[str]) -> dict[str, str]:
+    """Descriptions of columns by their names without units; of a matrix one behind another."""
+    columns: dict[str, list[str]] = {}
+    for name in names:
+        columns.setdefault(_IN_BRACKETS.sub("", name), []).append(name)
+    described: dict[str, str] = {}
+    for name, text in find_descriptions(lines, columns).items():
+        parts = text.split(", ") if len(columns[name]) > 1 else [text]
+        if len(parts) == len(columns[name]):
+            described |= zip(columns[name], parts, strict=True)
+    return described
 
 
 def _label(
@@ -94,6 +112,11 @@ def _read(folder: Path, patterns: Sequence[str]) -> Iterator[tuple[Path, str]]:
             continue
         with suppress(OSError, InputError):
             yield path, decode(path, None)[0][:_LONGEST]
+
+
+def _read_notes(folder: Path, files: Collection[str]) -> Iterator[tuple[Path, str]]:
+    """The texts in a folder that people wrote about its logs, which are none of these files."""
+    return ((path, text) for path, text in _read(folder, _NOTES) if path.name not in files)
 
 
 def _read_scripts(folder: Path) -> Iterator[tuple[Path, str]]:
