@@ -12,6 +12,9 @@ import tustinnet as tn
 from tustinnet.control import find_equilibrium
 from tustinnet.control.dynamics import recorded_limits
 from tustinnet.control.sticking import sticking_distances
+from tustinnet.models.added import parse_forces, with_forces
+from tustinnet.models.integrate import discretise
+from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.simulate.range import Range
 
 
@@ -167,3 +170,22 @@ def test_an_input_that_came_near_0_may_be_off(ends, expected):
     range = Range(np.array([[-0.5, 0.5], [-1.0, 1.0]]), np.array([ends]))
     assert recorded_limits(model, None, range) == {"force": expected}
     assert recorded_limits(model, {"force": (1.0, 2.0)}, range) == {"force": (1.0, 2.0)}
+
+
+def test_dry_friction_with_a_memory_hides_no_equilibrium():
+    system = LagrangianSystem(
+        "hung",
+        (tn.Coordinate("q", "angular"),),
+        (tn.Input("u", "N m", None, (-3.0, 3.0)),),
+        (),
+        kinetic=lambda q, v, p: v[0] ** 2 / 2,
+        potential=lambda q, p: -2 * jnp.cos(q[0]),
+        input_map=lambda q, v, u, p: u,
+    )
+    needs = parse_forces(system, ["slip:q"])[0].brought
+    parameters = tuple(Parameter(name, "N m", 0.1, 0.0, 9.0) for name in needs)
+    rubbing = with_forces(system, ("slip:q",), parameters)
+    values = {name: jnp.asarray(x) for name, x in rubbing.nominal().items()}
+    point = find_equilibrium(discretise(rubbing.model(values), 0.01, 4), {"q": 1.0})
+    assert point.x[0] == pytest.approx(1.0)
+    assert point.u[0] == pytest.approx(2 * np.sin(1.0))  # friction could hold a part

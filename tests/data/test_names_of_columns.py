@@ -150,3 +150,8 @@ def test_what_a_drive_controls_is_a_command_and_a_controllers_effort_no_torque()
         "velocity",
         "other",
     )
+
+
+def test_psi_behind_an_input_is_an_angle_and_behind_a_pressure_its_unit() -> None:
+    assert (read_name("u_psi").unit, read_name("u_psi").object) == ("", read_name("psi").object)
+    assert read_name("p_psi").unit == read_name("tank (psi)").unit == "psi"

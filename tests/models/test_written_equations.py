@@ -57,6 +57,7 @@ def test_equations_are_those_of_the_first_group_or_of_the_record_s() -> None:
     assert tn.equations_of_motion(model).text == ("theta'' = 0.5 torque",)
     assert equations_header(model) == {"equations": ("theta'' = 0.5 torque",)}
     other = model.for_groups({"load": "none"}, "here")
+    assert other.for_groups({}, "there").values == other.values  # what was taken stays
     assert tn.equations_of_motion(other).text == ("theta'' = 2 torque",)
 
 

@@ -73,6 +73,7 @@ def test_limits_of_the_file_decide_where_it_has_some(tmp_path: Path) -> None:
     limit = '<limit lower="-1" upper="1" effort="8" velocity="4"/>'
     (file := tmp_path / "wrist.urdf").write_text(WRIST.format(limit=limit))
     system = tn.load_system(file)
+    assert system.inputs[0].limits == (-8.0, 8.0)
     seen = system.for_records([records_of(system, 30.0, 20.0)], "record 'one'")
     assert seen.parameters == system.parameters
     assert seen.parameter("turn.viscous").upper == pytest.approx(2.0)

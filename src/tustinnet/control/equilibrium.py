@@ -23,6 +23,7 @@ from tustinnet.wording import join_words
 
 _TURNS = np.pi / 4 * np.arange(-4, 5)  # rad, where other equilibria are searched for
 _ON_CIRCLE = 1e-4  # 1/s, rates of growth or decay that count as none
+_SINGULAR = 1e-10  # of the largest direction, in which rates change with the states and inputs
 _NO_EFFECT = 1e-7  # of the effect of inputs on a mode, or of a mode on the encoders
 
 
@@ -185,14 +186,23 @@ def find_equilibrium(
     half = (bounds.upper - bounds.lower) / 2
     unit = np.concatenate([1 / np.sqrt(price), half / np.sqrt(PRICES.input)])
     centre = np.concatenate([target, bounds.clip(np.zeros(system.n_u))])
-    free = np.full(n_x, np.inf)
-    lower, upper = (
-        np.concatenate([end, (own - centre[n_x:]) / unit[n_x:]])
-        for end, own in zip((-free, free), bounds, strict=True)
-    )
+    internal = np.zeros(n_x, bool)
+    internal[channels.internal] = True
 
-    def settle(first: Float[np.ndarray, " n_x"]) -> Float[np.ndarray, " n_xu"] | None:
-        """The equilibrium nearest to the named positions that is reached from a state."""
+    def settle(
+        first: Float[np.ndarray, " n_x"], *, is_relaxed: bool = False
+    ) -> Float[np.ndarray, " n_xu"] | None:
+        """The equilibrium nearest to the named positions that is reached from a state.
+
+        Args:
+            first: the state.
+            is_relaxed: whether internal states are 0, as of dry friction that holds nothing.
+        """
+        free = np.where(internal & is_relaxed, 0.0, np.inf)
+        lower, upper = (
+            np.concatenate([end, (own - centre[n_x:]) / unit[n_x:]])
+            for end, own in zip((-free, free), bounds, strict=True)
+        )
 
         def change(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             point = centre + unit * y
@@ -202,6 +212,9 @@ def find_equilibrium(
 
         y = np.concatenate([(first - target) / unit[:n_x], np.zeros(system.n_u)])
         with np.errstate(all="ignore"):
+            # rates that depend on one another, as of dry friction with a memory, count once
+            axes, sizes, _ = np.linalg.svd(np.nan_to_num(change(y)[1]), full_matrices=False)
+            independent = axes[:, sizes > _SINGULAR * sizes[0]].T
             result = scipy.optimize.minimize(
                 lambda y: (y @ y / 2, y),
                 y,
@@ -210,18 +223,17 @@ def find_equilibrium(
                 bounds=[*zip(lower.tolist(), upper.tolist(), strict=True)],
                 constraints={
                     "type": "eq",
-                    "fun": lambda y: change(y)[0],
-                    "jac": lambda y: change(y)[1],
+                    "fun": lambda y: independent @ change(y)[0],
+                    "jac": lambda y: independent @ change(y)[1],
                 },
                 options={"maxiter": 200, "ftol": 1e-14},
             )
             nearby = result.x
-            # rates that depend on one another, as of dry friction with a memory, stop the search
-            for _ in range(5):
+            for _ in range(5):  # from where all of them are nearly 0
                 rate, slopes = change(nearby)
                 if not np.isfinite(slopes).all():
                     break
-                nearby = np.clip(nearby - np.linalg.pinv(slopes, 1e-10) @ rate, lower, upper)
+                nearby = np.clip(nearby - np.linalg.pinv(slopes, _SINGULAR) @ rate, lower, upper)
             point, rate = centre + unit * nearby, change(nearby)[0]
         is_settled = np.isfinite(rate).all() and np.all(
             # largest change in a second, of the sizes of 1 + state
@@ -236,7 +248,10 @@ def find_equilibrium(
         off = [d for d, name in zip(off.tolist(), positions, strict=True) if name in at]
         return max(off, default=0.0)
 
-    nearest = settle(target)
+    # friction that holds a part of the load today holds another one tomorrow
+    nearest = settle(target, is_relaxed=True) if internal.any() else None
+    if nearest is None or distance(nearest) > tolerance:
+        nearest = settle(target)
     if nearest is None or distance(nearest) > tolerance:
         others = [settle(first) for first in _other_starts(target, channels.angular, positions, at)]
         candidates = [point for point in (nearest, *others) if point is not None]

@@ -536,6 +536,8 @@ class LagrangianModel(ContinuousModel):
     def for_groups(self, groups: Mapping[str, str], where: object) -> "LagrangianModel":
         """The equations of motion with the values of some groups, as `{"payload": "1kg"}`.
 
+        Of a group that is not given, values that were taken before stay.
+
         Args:
             groups: the values of the groups.
             where: what has them, for messages.
@@ -545,7 +547,8 @@ class LagrangianModel(ContinuousModel):
         """
         chosen: dict[str, Array] = {}
         for p in self.system.grouped:
-            if values := p.by_group(self.values):
+            is_taken = p.name in self.values and p.per not in groups
+            if not is_taken and (values := p.by_group(self.values)):
                 chosen[p.name] = values[require_group_value(p, groups, tuple(values), where)]
         return LagrangianModel(self.system, self.values | chosen) if chosen else self
 

@@ -54,6 +54,8 @@ class TimingLevels:
         none: shortest delay that matters [periods].
         vague: standard error of a delay [periods], of a lag relative to it, that tells nothing.
         floor: smallest standard error [periods]: damping between two samples makes as much.
+        power: log-likelihood a row that an input explains, below which functions that miss some of
+            the motion look like its delay: of arms under stiff control it is 0.004 to 0.2.
         both: smallest delay and lag [periods] of an input that has both.
         both_share: of all that the input explains, what both explain beyond one of them.
         feedback: log-likelihood a row that later inputs add in a closed loop.
@@ -78,6 +80,7 @@ class TimingLevels:
     none: float = 0.1
     vague: float = 0.2
     floor: float = 0.05
+    power: float = 0.25
     both: float = 0.4
     both_share: float = 0.05
     feedback: float = 0.04
@@ -703,10 +706,14 @@ def _decide(
         verdict = "unclear"
     else:
         verdict = _judge(kinds, delay)
+    if power < TIMING.power and verdict not in ("none", "early"):
+        verdict = "unclear"
     if is_closed and verdict == "none":  # the hypothesis that it was logged late is not tried there
         verdict, is_hidden = "unclear", True
     if verdict == "delay and lag":
         delay, lag = tried[hold, verdict].measured
+    if verdict == "unclear":  # of its course between samples they tell as little
+        hold, rivals = declared.hold or "zero-order", ()
     delay, lag = (Measured(dt * x.value, dt * x.error) for x in (delay, lag))
     return InputTiming(verdict, hold, delay, lag, rivals, is_hidden)
 

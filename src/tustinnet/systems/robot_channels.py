@@ -11,7 +11,7 @@ from tustinnet.channels import Coordinate, Input
 from tustinnet.data.units import convert_to_si
 from tustinnet.errors import InputError
 from tustinnet.models.motion_limits import MotionLimits
-from tustinnet.systems.robot import RobotActuator
+from tustinnet.systems.robot import Range, RobotActuator
 from tustinnet.systems.robot_equations import Drive
 from tustinnet.systems.robot_options import RobotOptions
 from tustinnet.systems.robot_tree import RobotTree
@@ -61,7 +61,9 @@ class RobotChannels:
                     f"motor_constants: the joint '{name}' has no motor",
                     f"one of {_list(driven)}",
                 )
-        self.inputs = tuple(Input(self._name(a), self._unit(a)) for a in actuators)
+        self.inputs = tuple(
+            Input(self._name(a), self._unit(a), limits=self._input_limits(a)) for a in actuators
+        )
         servos = [a.joint for a in actuators if a.gains]
         self.drives = [self._drive(a, servos.count(a.joint) == 1) for a in actuators]
 
@@ -89,7 +91,10 @@ class RobotChannels:
         if mismatches:
             raise self._error(mismatches, where)
         before = self.tree.arrange([c.name for c in coordinates])
-        self.inputs = tuple(inputs)
+        declared = [None if k is None else self.inputs[k].limits for k in drives]
+        self.inputs = tuple(
+            replace(i, limits=i.limits or own) for i, own in zip(inputs, declared, strict=True)
+        )
         self.drives = [
             replace(d, coordinate=before.index(d.coordinate))
             for d in (self.drives[k] for k in drives if k is not None)
@@ -136,6 +141,20 @@ class RobotChannels:
             return units.position if is_position else units.speed
         is_force = actuator.gear * actuator.gain == 1.0 and not (actuator.gains or actuator.bias)
         return units.force if is_force else ANY_UNIT
+
+    def _input_limits(self, actuator: RobotActuator) -> Range | None:
+        """The smallest and largest input of an actuator by the file, None where it says none.
+
+        A current's are not known before its motor constant is.
+        """
+        joint = self.tree.joints[actuator.joint]
+        is_force = not (
+            actuator.gains or actuator.bias or joint.name in self.options.motor_constants
+        )
+        if actuator.input_range is not None or not (is_force and joint.effort):
+            return actuator.input_range
+        largest = joint.effort / abs(actuator.gear * actuator.gain)
+        return -largest, largest
 
     def _drive(self, actuator: RobotActuator, is_only_servo: bool) -> Drive:
         """The way in which an actuator acts; of several servos at a joint, gains have its name."""

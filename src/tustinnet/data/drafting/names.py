@@ -384,9 +384,11 @@ def _is_unit(ending: str, before: Sequence[str]) -> bool:
     It is a unit behind a word of its quantity, and one of an input or a length behind a word that
     states no other quantity, as in `motor_v`, `rail_m`.
     """
+    symbol = next((word for word in reversed(before) if not word.isdigit()), "")  # `i2_A`
+    if ending in STRONG["position"]:  # `u_psi` is at an angle, `p_psi` a pressure
+        return _UNITS[ending][1] in dict(_MEANINGS.get(symbol, []))
     if len(ending) > 1:
         return ending not in _NO_ENDINGS
-    symbol = next((word for word in reversed(before) if not word.isdigit()), "")  # `i2_A`
     if symbol in _UNITS:
         return False  # `Ink_M`, counts of a motor
     quantity, meanings = _UNITS[ending][1], dict(_MEANINGS.get(symbol, []))
