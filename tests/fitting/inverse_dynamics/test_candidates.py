@@ -13,6 +13,8 @@ from tustinnet.errors import InputError
 from tustinnet.fitting.inverse_dynamics.along import filter_record, find_obstacle
 from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
 from tustinnet.fitting.inverse_dynamics.linear_forces import LinearForces
+from tustinnet.fitting.inverse_dynamics.solver import least_squares
+from tustinnet.fitting.inverse_dynamics.sums import Columns, sum_up
 from tustinnet.fitting.shooting.added_forces import with_added
 from tustinnet.fitting.shooting.space import make_search_space
 from tustinnet.models.added import parse_forces
@@ -169,3 +171,12 @@ def test_forces_of_a_record_are_those_that_a_fit_names(slipping, without):
     network = tn.fit(data, "linear").model
     with pytest.raises(InputError, match="a model without equations of motion"):
         tn.inverse_dynamics(network, record)
+
+
+def test_least_squares_with_a_gain_that_is_known_leave_what_is_missing():
+    a, noise = np.random.default_rng(3).normal(size=(2, 400, 1))
+    u = (3.0 * a + 0.1 * noise) / 2.0  # a mass of 3, a gain of 2
+    slopes = np.stack([a, -u], axis=2)
+    columns = Columns(slopes, np.zeros_like(u), 2 * u, 3 * a, np.abs(a), 1.0)
+    assert not least_squares(sum_up([columns])).any(), "without both nothing is missing"
+    assert least_squares(sum_up([columns]), {1: 2.0}) == pytest.approx([3.0, 2.0], rel=0.01)

@@ -408,7 +408,9 @@ def _force_errors(result: _Result, validation: Sequence[Experiment]) -> tuple[Fo
     """The force that is missing at each coordinate, beside that of trivial references."""
     fit, plain = result.fit, result.plain
     system = fit.forces.system
-    found, nominal = least_squares(plain.sums), plain.forces.space.nominal
+    values = fit.forces.space.to_values(fit.solution.vector)
+    found = least_squares(plain.sums, plain.forces.gains_among(values))
+    nominal = plain.forces.space.nominal
     by_file = plain.forces.missing(plain.forces.space.to_vector(nominal))
 
     def forces_along(

@@ -77,6 +77,11 @@ class LinearForces:
         """Gains of the inputs with the places of the coordinates that they act on."""
         return _input_gains(self.system, self.parts[0].q[0])
 
+    def gains_among(self, values: Mapping[str, float]) -> dict[int, float]:
+        """The values of free gains of inputs, by their places in the search space."""
+        names = self.space.names
+        return {names.index(n): values[n] for n in self.gains if n in names and n in values}
+
     def of_records(self, records: Sequence[Experiment]) -> "LinearForces":
         """The linear forces along other records."""
         cutoff = self.parts[0].cutoff

@@ -1,6 +1,6 @@
 """Forces along records by a model, beside those of its actuators."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from tustinnet.fitting.inverse_dynamics.cutoff import choose_cutoff
 from tustinnet.fitting.inverse_dynamics.linear_forces import LinearForces
 from tustinnet.fitting.inverse_dynamics.record_forces import RecordForces, force_errors
 from tustinnet.fitting.inverse_dynamics.solver import least_squares
-from tustinnet.fitting.inverse_dynamics.sums import Columns, sum_up
+from tustinnet.fitting.inverse_dynamics.sums import sum_up
 from tustinnet.fitting.shooting.equations import system_equations
 from tustinnet.fitting.shooting.groups import expand_parameters
 from tustinnet.fitting.shooting.space import SearchSpace, make_search_space
@@ -84,7 +84,8 @@ def forces_of_records(
     alone, training = ([e.with_timing(inputs) for e in some] for some in (alone, training))
     space = _space_of_file(system, [*alone, *training])
     cutoff = cutoff or choose_cutoff(system, training or alone, space)
-    by_least_squares = _needed_by_least_squares(system, space, alone, training, cutoff)
+    values = {name: float(x) for name, x in equations.values.items()}
+    by_least_squares = _needed_by_least_squares(system, space, values, alone, training, cutoff)
     return [
         _forces_along(equations, e, cutoff, by_least_squares.get(k)) for k, e in enumerate(alone)
     ]
@@ -117,22 +118,27 @@ def _space_of_file(system: LagrangianSystem, records: Sequence[Experiment]) -> S
 def _needed_by_least_squares(
     system: LagrangianSystem,
     space: SearchSpace,
+    values: Mapping[str, float],
     records: Sequence[Experiment],
     training: Sequence[Experiment],
     cutoff: float,
 ) -> dict[int, Float[np.ndarray, "k n_q"]]:
-    """Forces that motions need by least squares on training records, by the place of the record."""
+    """Forces that motions need by least squares on training records, by the place of the record.
+
+    Gains of inputs have their values.
+    """
     if not training:
         return {}
     vector = space.to_vector(space.nominal)
 
-    def columns(some: Sequence[Experiment]) -> list[Columns]:
-        parts = tuple(filter_record(e, cutoff) for e in some)
-        return LinearForces(system, space, parts).columns(vector)
+    def forces(some: Sequence[Experiment]) -> LinearForces:
+        return LinearForces(system, space, tuple(filter_record(e, cutoff) for e in some))
 
-    found = least_squares(sum_up(columns(training)))
+    of_training = forces(training)
+    found = least_squares(sum_up(of_training.columns(vector)), of_training.gains_among(values))
     return {
-        k: own.slopes @ found + own.rest + own.applied for k, own in enumerate(columns(records))
+        k: own.slopes @ found + own.rest + own.applied
+        for k, own in enumerate(forces(records).columns(vector))
     }
 
 

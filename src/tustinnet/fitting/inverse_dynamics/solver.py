@@ -172,17 +172,26 @@ def solve(sums: ForceSums, prior: Prior, start: ParameterVector) -> Solution:
     return Solution(vector, variances, steps, cost)
 
 
-def least_squares(sums: ForceSums) -> Float[np.ndarray, " n_c"]:
+def least_squares(
+    sums: ForceSums, known: Mapping[int, float] | None = None
+) -> Float[np.ndarray, " n_c"]:
     """The linear coordinates that explain forces best, without priors and ranges.
 
     Joints are weighed by what they leave.
 
     Args:
         sums: sums of squares.
+        known: values of coordinates by their places, as of the gains of inputs: without any force
+            and any gain nothing would be left.
     """
     total = sums.total
     matrices, counts = total.matrices[0].sum(axis=1), total.counts[0].sum(axis=1)
-    left, found = matrices[:, -1, -1], np.zeros(matrices.shape[-1] - 1)
+    n_c = matrices.shape[-1] - 1
+    point = np.eye(n_c + 1)  # of what is free, and of 1
+    for i, value in (known or {}).items():
+        point[i, [i, -1]] = 0.0, value
+    matrices = point.T @ matrices @ point
+    left, found = matrices[:, -1, -1], point[:-1, -1]
     for _ in range(SOLVER.reweightings):
         matrix = np.einsum("j,jkl->kl", counts / np.maximum(left, 1e-300), matrices)
         size = np.sqrt(np.diag(matrix)[:-1])
@@ -190,7 +199,7 @@ def least_squares(sums: ForceSums) -> Float[np.ndarray, " n_c"]:
         scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 1e-10 * size.max())
         # singular values below this share of the largest one are none
         inverse = np.linalg.pinv(matrix[:-1, :-1] * np.outer(scale, scale), 1e-12, True)
-        found = -scale * (inverse @ (scale * matrix[:-1, -1]))
+        found = point[:-1, -1] - scale * (inverse @ (scale * matrix[:-1, -1]))
         left = total.squares(found)[0].sum(axis=1)
     return found
 
