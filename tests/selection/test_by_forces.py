@@ -244,7 +244,7 @@ def test_inputs_drive_all_coordinates_each_by_itself(gains, are_driven):
     if not are_driven:
         records = tuple(replace(record, name=f"r{k}") for k in range(3))
         _, sentences = applicable("quick", system, tn.DataSet("two", records))
-        assert "as inputs do not drive every coordinate: inv" in sentences
+        assert "as inputs are no forces on every coordinate: inv" in sentences
 
 
 def test_forces_of_the_true_system_explain_records_and_those_of_another_do_not():

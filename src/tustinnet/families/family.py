@@ -385,6 +385,7 @@ def family_of(model: Any) -> Family:
         type(model).__name__,
         "a model of no registered family",
         f"a model of one of the kinds {', '.join(FAMILIES.names())}",
+        "`model` of this result is one" if hasattr(model, "model") else "",
     )
 
 

@@ -159,7 +159,7 @@ def _inverse_dynamics_problem(context: RunContext) -> str:
         return ""  # what does not fit together is said by every candidate of the system
     if (obstacle := find_obstacle(system, records)) is not None:
         return obstacle.problem
-    return "" if are_all_driven(system, records) else "as inputs do not drive every coordinate"
+    return "" if are_all_driven(system, records) else "as inputs are no forces on every coordinate"
 
 
 def force_cutoff(context: RunContext, candidates: Sequence[Candidate]) -> float | None:

@@ -87,6 +87,16 @@ class Choice(Shown):
         """The unit of the RMSE."""
         return self.context.data.channels.unit
 
+    @property
+    def start(self) -> str:
+        """The start of the free runs by which the chosen model was judged."""
+        return self.result(self.best).start
+
+    @property
+    def horizon(self) -> float | None:
+        """Length of these free runs [s], None for whole records."""
+        return self.context.scoring.horizon
+
     def file(self, name: str) -> str:
         """The model file of a candidate that could be chosen, below the folder."""
         return f"{CANDIDATES}/{name}/{MODEL}"

@@ -22,7 +22,7 @@ from pydantic import ConfigDict, TypeAdapter
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError, error_message
-from tustinnet.evaluate.reference import find_reference
+from tustinnet.evaluate.reference import Reference, find_reference
 from tustinnet.evaluate.scores import Score, score_runs, scores_header
 from tustinnet.families.family import family_of
 from tustinnet.fits.deadline import Deadline
@@ -256,6 +256,11 @@ class RunContext:
         return math.sqrt(squares) or 1.0
 
     @cached_property
+    def reference(self) -> Reference:
+        """The better trivial predictor over the free runs that are scored."""
+        return find_reference(records_without_test(self.data), self.scoring.horizon)
+
+    @cached_property
     def lost_error(self) -> float:
         """The RMSE from which on a free run is lost [rad or m].
 
@@ -263,8 +268,7 @@ class RunContext:
         """
         if self.scoring.horizon is None:
             return self.motion_within_turns
-        reference = find_reference(records_without_test(self.data), self.scoring.horizon)
-        return min(self.motion_within_turns, reference.mean) or self.motion_within_turns
+        return min(self.motion_within_turns, self.reference.mean) or self.motion_within_turns
 
     @property
     def system_file(self) -> SystemFile | None:

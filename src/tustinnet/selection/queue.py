@@ -485,11 +485,14 @@ class CandidateQueue:
         news = (best.name, len(best.fits_by_fold) == folds, self.context.scoring.horizon)
         if news == self._reported:
             return
-        self._reported, mean, motion = news, best.mean, self.context.motion_within_turns
-        off = f"off by {mean:.3g} {self.context.data.channels.unit}"
-        share = f"{percent(mean / motion)} % of the motion"
+        self._reported, rmse, reference = news, best.rmse(), self.context.reference
+        off = f"off by {best.mean:.3g} {self.context.data.channels.unit}"
+        of_reference, _ = mean_and_error([x for n, x in reference.rmse.items() if n in rmse])
+        if of_reference > 0:
+            off += f" ({percent(best.mean / of_reference)} % of {reference.label})"
+        is_lost = best.mean >= self.context.motion_within_turns
         self._on_message(
-            f"best so far: {best.name}, {f'{off} ({share})' if mean < motion else 'which is lost'} "
-            f"on {counted(len(best.rmse()), 'record')}, "
+            f"best so far: {best.name}, {'which is lost' if is_lost else off} "
+            f"on {counted(len(rmse), 'record')}, "
             f"{len(best.fits_by_fold)} of {counted(folds, 'fold')}"
         )
