@@ -16,6 +16,8 @@ from tustinnet.selection.ranking import CandidateResult, paired_difference
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_SMALL = 1e-4  # below it errors have an exponent
+
 
 def candidates_frame(choice: Choice) -> pl.DataFrame:
     """Frame of the candidates that have scores, the best first, and of the trivial predictor.
@@ -50,12 +52,14 @@ def candidates_table(choice: Choice) -> Table:
     """Table of the candidates that have scores, the best first."""
     candidates = candidates_frame(choice).rows(named=True)
     by_forces = any(c["unexplained"] is not None for c in candidates)
-    scored = [c for c in candidates if c["records"] is not None]
-    scale = scale_of(c["rmse"] for c in scored)
 
     def cell(mean: float | None, error: float) -> str:
         if mean is None:
             return ""
+        # errors of candidates differ by many powers of ten
+        scale = scale_of([mean, error])
+        if 0 < scale < _SMALL:
+            return f"{mean:.3g} ± {error:.2g}"
         return f"{number(mean, scale=scale)} ± {number(error, scale=scale)}"
 
     def against_best(c: dict[str, Any]) -> str:
