@@ -30,6 +30,14 @@ def test_a_position_that_a_controller_holds_is_found_with_its_growth(seed):
     assert 1 / held.e_fold == pytest.approx(5.0, rel=0.2)
 
 
+def test_a_position_that_is_held_at_one_place_after_another_is_held_from_the_first_sample_on():
+    q, v, u = held_pendulum(0)
+    q[:500] += 1.0
+    held = find_held_equilibrium(q, v, u, (True,), DT)
+    assert held is not None
+    assert held.sample == 0
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_joints_that_move_to_their_last_pose_are_not_held(seed):
     rng, t = np.random.default_rng(seed), DT * np.arange(300)

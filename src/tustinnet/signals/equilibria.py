@@ -59,7 +59,9 @@ def find_held_equilibrium(
             rate / _ALIKE < _fastest_growth(x[half], u[half], dt) < rate * _ALIKE
             for half in (slice(begin, middle), slice(middle, None))
         ):
-            return HeldEquilibrium(k, 1 / rate)
+            # before it, too, as where its set point moves
+            is_whole = rate / _ALIKE < _fastest_growth(x[_AHEAD:k], u[_AHEAD:k], dt) < rate * _ALIKE
+            return HeldEquilibrium(0 if is_whole else k, 1 / rate)
     return None
 
 
