@@ -46,6 +46,12 @@ def test_keys_reach_into_tables_and_lists():
     assert training("model.hidden.1=3").model.model_dump()["hidden"] == (8, 3)
 
 
+def test_dots_within_quotes_are_of_a_name():
+    recipe = tn.read_recipe("grey", ['model.fixed."hand.mass[1.5kg]"=2.3'])
+    assert isinstance(recipe, IdentificationRecipe)
+    assert recipe.model.fixed == {"hand.mass[1.5kg]": 2.3}
+
+
 def test_a_star_changes_all_stages():
     recipe = training("stages.*.epochs=3", "stages.*.windows.step=4")
     assert [(s.epochs, s.windows.step) for s in recipe.stages] == [(3, 4), (3, 4)]

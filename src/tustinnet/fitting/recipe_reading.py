@@ -1,5 +1,6 @@
 """Reading of recipes: packaged ones, TOML files and mappings, with single values changed."""
 
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
@@ -79,7 +80,8 @@ def _apply_change(content: dict[str, Any], change: str) -> None:
         raise InputError(
             "`changes=`", f"'{change}'", "KEY=VALUE", "for instance stages.0.epochs=20"
         )
-    *path, last = key.strip().split(".")
+    # as TOML has them: dots within quotes are of a name, as of `"arm.mass[1.5kg]"`
+    *path, last = (part.strip('"') for part in re.findall(r'"[^"]*"|[^."]+', key.strip()) or [""])
     places: list[Any] = [content]
     for part in path:
         inner = []
