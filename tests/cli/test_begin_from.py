@@ -13,6 +13,7 @@ from test_verbs import tustinnet
 import tustinnet as tn
 from tustinnet.fitting.task import Origin, make_task
 from tustinnet.store.header import records_in_header
+from tustinnet.store.model_file import load_origin
 from tustinnet.systems.files import find_system
 
 
@@ -120,6 +121,11 @@ keep = "last"
         tn.load_model(path, find_system(str(grey.system))) for path in (grey.model, model)
     )
     data = tn.load(folder)
+    (fold,) = make_task(
+        data, "grey", system=grey.system, origin=load_origin(grey.model, str(grey.system))
+    ).folds
+    assert fold.origin is not None
+    assert fold.origin.fits_records, "it needs no first estimate"
     task = make_task(data, str(recipe), physics=physics, origin=Origin(origin))
     assert task.folds[0].physics is physics
     assert make_task(data, str(recipe), origin=Origin(origin)).folds[0].physics is not physics

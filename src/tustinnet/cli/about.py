@@ -50,8 +50,9 @@ def next_steps(path: Path, data: str, model: "tn.Model", *, follows: bool, by_fo
     test = "--forces (the torques it misses)" if is_robot else "--residuals (test its errors)"
     steps = [f"tustinnet evaluate {file} {data} {test}"]
     if by_forces:
-        refit = f"tustinnet fit {data} --recipe grey --from {file} --out simulator"
-        steps.append(f"{refit} (simulates better)")
+        # whole records are far longer than an arm's simulation keeps to them
+        refit = f"tustinnet fit {data} --recipe grey --from {file} --set search.horizon=0.5"
+        steps.append(f"{refit} --out simulator (fits what it simulates)")
     if not follows:
         steps.append(f"tustinnet inspect {data} (look at the records)")
     else:

@@ -172,11 +172,15 @@ def make_task(
     require_feedback(recipe, data)
     _require_members(members, recipe)
     loaded = None if system is None else load_system_or_template(system)
+    roles = assign_roles(data)
     if origin is not None:
         for e in data:
             require_fit(origin.model, e)
         recipe = begin_with(recipe, origin.model, loaded, data)
-    return Task(recipe, (Fold(assign_roles(data), physics, origin),), tuple(members), loaded)
+        made_from = origin.provenance.get("made_from", {})
+        is_of_these = all(e.sha256 in made_from for e in roles.train)
+        origin = replace(origin, fits_records=origin.fits_records or is_of_these)
+    return Task(recipe, (Fold(roles, physics, origin),), tuple(members), loaded)
 
 
 def require_feedback(recipe: Recipe, data: DataSet) -> None:
