@@ -31,7 +31,8 @@ def learning_table(curve: LearningCurve) -> Table:
     draws, counts = len(curve.scored), sorted(set(curve.scored))
     title = (
         f"Free-run RMSE [{curve.unit}], start '{curve.start}', of {' or '.join(map(str, counts))} "
-        f"records left out; median (range) of {draws} draws{norm_words(curve.unit)}"
+        f"record{'s' * (counts != [1])} left out; median (range) of {draws} draws"
+        f"{norm_words(curve.unit)}"
     )
     return Table(["records", *curve.approaches], rows, title=title)
 
