@@ -139,9 +139,7 @@ def prepare(request: FitRequest, listener: Listener = SILENT) -> PreparedFit:
     records = prepare_records(data, options)
     if records.delays and isinstance(recipe, IdentificationRecipe):
         delays = [f"{name}.delay" for name in records.delays]
-        free = tuple(dict.fromkeys((*recipe.model.free, *delays)))
-        model = recipe.model.model_copy(update={"free": free})
-        task = replace(task, recipe=recipe.model_copy(update={"model": model}))
+        task = replace(task, recipe=recipe.with_free(delays))
     if records.data is not request.data:
         task = replace(task, folds=(replace(fold, roles=assign_roles(records.data)),))
     return PreparedFit(task, records)

@@ -5,7 +5,7 @@ for kinds with weights, `search` for kinds with parameters.
 """
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Annotated, Any, Literal, get_args
 
@@ -441,6 +441,11 @@ class IdentificationRecipe(Recipe):
         """The recipe of an identification that begins at the values of an identified model."""
         table = self.family.with_initial_values(self.model, model, system)
         return self.model_copy(update={"model": table})
+
+    def with_free(self, names: Iterable[str]) -> "IdentificationRecipe":
+        """The recipe in which further parameters are free, as delays `NAME.delay`."""
+        free = tuple(dict.fromkeys((*self.model.free, *names)))
+        return self.model_copy(update={"model": self.model.model_copy(update={"free": free})})
 
     def with_begin(self, begin: Mapping[str, float]) -> "IdentificationRecipe":
         """The recipe of an identification that begins at other values, by parameter."""

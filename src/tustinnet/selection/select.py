@@ -186,7 +186,7 @@ def select_model(
     )
     reporter.report(prepared.findings)
     promising = [c.name for c in candidates if prepared.lags and adds_lag(c)]
-    context = context.with_changes(data=prepare_for_folds(prepared.data)[0])
+    context = context.with_changes(data=prepare_for_folds(prepared.data)[0], delays=prepared.delays)
     folds = min(context.scoring.folds, len(context.data))
     context = context.with_changes(
         scoring=replace(context.scoring, folds=folds), cutoff=force_cutoff(context, candidates)
