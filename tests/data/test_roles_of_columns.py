@@ -1015,7 +1015,7 @@ def test_files_that_name_positions_are_the_records_and_a_card_has_one_period(
     assert "left out: r2.dat: a period of 0.02 s, and not 0.01 s" in made.notes
 
 
-def test_the_way_that_a_position_has_gone_is_none(tmp_path: Path) -> None:
+def test_the_distance_that_a_position_has_travelled_is_none(tmp_path: Path) -> None:
     u = levels(66)
     x, _ = moved_by(u)
     way = np.concatenate([[0], np.cumsum(np.abs(np.diff(x)))])

@@ -22,7 +22,7 @@ _INTERVAL = re.compile(
 )
 _ALONE = re.compile(r"(?:the number )?(\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)")
 _NAME_OF_PERIOD = re.compile(
-    r"(?i)(?:^|[/_.])(?:t_?s|dt|sampl\w*_?(?:time|period|interval)|abtastzeit|(?:t_?)?increment)$"
+    r"(?i)(?:^|[/_.])(?:t_?s|dt|sampl\w*_?(?:time|period|interval)|abtastzeit)$"
 )
 _NAME_OF_RATE = re.compile(
     r"(?i)(?:^|[/_.])(?:fs|f_s|hz|fps|sampl\w*_?(?:rate|freq\w*)|abtastrate)$"
@@ -101,9 +101,9 @@ def period_in_prose(text: str) -> float | None:
 
 def _period_below(names: str, values: str) -> float | None:
     """The period [s] below its name in two lines of settings."""
-    cells = (re.split(r"[,;\t]", line) for line in (names, values))
-    numbers = {name.strip(): cell.strip() for name, cell in zip(*cells, strict=False)}
-    return period_in_numbers({n: x for n, x in numbers.items() if _INCREMENT.fullmatch(n)})
+    cells = (re.split(r"\s*[,;\t]\s*", line) for line in (names, values))
+    below = [x for name, x in zip(*cells, strict=False) if _INCREMENT.fullmatch(name)]
+    return float(below[0]) or None if below and _ALONE.fullmatch(below[0]) else None
 
 
 def _period_in(line: str) -> float | None:

@@ -706,7 +706,7 @@ def _decide(
         verdict = "unclear"
     else:
         verdict = _judge(kinds, delay)
-    if power < TIMING.power and verdict not in ("none", "early"):
+    if power < TIMING.power and verdict != "none":
         verdict = "unclear"
     if is_closed and verdict == "none":  # the hypothesis that it was logged late is not tried there
         verdict, is_hidden = "unclear", True

@@ -18,10 +18,10 @@ from tustinnet.data.drafting.relations import (
     Table,
     find_causes,
     find_copies,
+    find_distances,
     find_followers,
     find_other_units,
     find_sums,
-    find_ways,
 )
 from tustinnet.data.drafting.vocabulary import AXES, CONTAINERS, QUALIFIERS, STRONG, WEAK
 from tustinnet.data.units import ANGLE, LENGTH
@@ -322,8 +322,8 @@ class EvidenceTable:
         for one, other in itertools.permutations(self.blocks, 2):
             for joint in one.keys() & other.keys():
                 self.slope[one[joint], other[joint]] += WEIGHTS.member
-        ways = find_ways(records)
-        are_apart = (self.slope >= WEIGHTS.clear_slope) | ways
+        distances = find_distances(records)
+        are_apart = (self.slope >= WEIGHTS.clear_slope) | distances
         sums = find_sums(records)
         self.sums = [(i, j, k) for i, j, k in sums if k is not None]
         for three in self.sums:
@@ -346,7 +346,7 @@ class EvidenceTable:
         self._add_quaternions(records)
         self._add_errors(records, sums)
         self._add_copies()
-        self._add_ways(ways)
+        self._add_distances(distances)
         self._add_nameless(records)
         self._add_commanded_rates()
         self._add_tool()
@@ -453,11 +453,11 @@ class EvidenceTable:
                 text = f"'{self.names[i]}' in another unit, or from another zero"
                 self.own[j].append(Evidence("other", WEIGHTS.derived, text))
 
-    def _add_ways(self, ways: Bool[np.ndarray, "c c"]) -> None:
-        """Evidence against the ways that positions have gone to and fro, as an odometer's."""
-        for i, j in np.argwhere(ways).tolist():
+    def _add_distances(self, distances: Bool[np.ndarray, "c c"]) -> None:
+        """Evidence against the distances that positions have travelled, as an odometer has them."""
+        for i, j in np.argwhere(distances).tolist():
             if self.says(i, "position") and self.says(j, "position"):
-                text = f"the way that '{self.names[i]}' has gone"
+                text = f"the distance that '{self.names[i]}' has travelled"
                 self.own[j].append(Evidence("other", WEIGHTS.useless, text))
                 self.own[j].append(Evidence("position", -WEIGHTS.useless, ""))
 

@@ -230,8 +230,8 @@ def find_other_units(records: Sequence[Table]) -> Bool[np.ndarray, "c c"]:
 
 
 @np.errstate(all="ignore")  # of what stands still
-def find_ways(records: Sequence[Table]) -> Bool[np.ndarray, "c c"]:
-    """Marks columns j that add up how far columns i have gone, whatever the direction, [i, j]."""
+def find_distances(records: Sequence[Table]) -> Bool[np.ndarray, "c c"]:
+    """Marks columns j that are the distances which columns i have travelled, [i, j]."""
     steps = np.concatenate([np.diff(record, axis=0) for record in records])
     rises = np.asarray((steps >= 0).all(axis=0))
     if len(steps) < 2:
