@@ -7,6 +7,9 @@ from tustinnet.control.equilibrium import tangent_of_held_inputs
 from tustinnet.control.lqr import Feedback
 from tustinnet.models.contract import Model
 
+_SLOWER = 4  # speeds, each a quarter of the one before, by which dry friction is told
+_SAME = 1.2  # times that of a slower motion: dry friction is the same at any speed
+
 
 def sticking_distances(model: Model, feedback: Feedback, delay: int = 0) -> dict[str, float]:
     """The errors up to which feedback gives less than the dry friction, by coordinate.
@@ -40,10 +43,19 @@ def sticking_distances(model: Model, feedback: Feedback, delay: int = 0) -> dict
     stiffness = a[np.ix_(v, q)] + settled @ a[np.ix_(internal, q)] - effect @ feedback.gain[:, q]
     dry = np.zeros((n_q, n_q))  # what dry friction at each coordinate is to all of them
     for j in np.flatnonzero(speeds > 0).tolist():
-        at = np.tile(system.augment(x, u), (4, 1))
-        at[:, v[j]] += speeds[j] * np.array([1.0, 2.0, -1.0, -2.0])
-        changes = (system.steps(at, np.tile(u, (4, 1))) - at)[:, v]
-        dry[:, j] = np.array([2.0, -1.0, -2.0, 1.0]) @ changes / 2
+
+        def dry_part(speed: float, j: int = j) -> np.ndarray:
+            """The part of all changes that has the sign of a velocity, and not its size."""
+            at = np.tile(system.augment(x, u), (4, 1))
+            at[:, v[j]] += speed * np.array([1.0, 2.0, -1.0, -2.0])
+            changes = (system.steps(at, np.tile(u, (4, 1))) - at)[:, v]
+            return np.array([2.0, -1.0, -2.0, 1.0]) @ changes / 2
+
+        # of slower motions it is the same, unlike that of a servo's damping up to its largest force
+        parts = [dry_part(speeds[j] / 4**k) for k in range(_SLOWER)]
+        sizes = [float(np.linalg.norm(part)) for part in parts]
+        same = (k for k in range(_SLOWER - 1) if sizes[k] <= _SAME * sizes[k + 1])
+        dry[:, j] = parts[next(same, _SLOWER - 1)]
     farthest = np.abs(np.linalg.pinv(stiffness) @ dry).sum(axis=1)
     return {
         c.name: float(farthest[j])
