@@ -426,6 +426,9 @@ def test_near_assignments_are_a_question_whose_answer_holds(tmp_path: Path) -> N
     assert keys
     (used,) = (i.column for i in made.choice.inputs)
     other = "two" if used == "one" else "one"
+    assert any(
+        x.startswith(f'# not used: "{other}"') and "check" in x for x in made.text.split("\n")
+    )
     answered = draft_card(tmp_path, files, {f"role {other}": "input", f"role {used}": "none"})
     assert [i.column for i in answered.choice.inputs] == [other]
     assert not [q for q in answered.questions if q.key.startswith("role")]

@@ -126,7 +126,9 @@ def _explain_unused(
     """Says why each column that is neither of the motion nor an input is not used."""
     for name, verdict in findings.verdicts.items():
         if name not in (*motion, *inputs, *choice.unused):
-            choice.unused[name] = _why_unused(name, verdict, motion, inputs, findings)
+            rival = {"position": "a position", "input": "an input"}.get(verdict.rival or "")
+            doubt = f"; check {rival}?" if rival and verdict.is_open else ""
+            choice.unused[name] = _why_unused(name, verdict, motion, inputs, findings) + doubt
 
 
 def _why_unused(
