@@ -303,8 +303,8 @@ def _examine(
     readings = read_names(logs)
     clock, period_reason = find_clock(logs, readings), "the mean time between samples"
     if clock.dt is None:
-        logs = _keep_usual_period(folder, logs, notes.append)
-        dt, period_reason = _find_period(folder, logs, answers, by_velocities)
+        logs, said = _keep_usual_period(folder, logs, notes.append)
+        dt, period_reason = _find_period(folder, logs, said, answers, by_velocities)
         clock = replace(clock, dt=dt)
     motion = [n for n in readings if n != clock.column and n not in clock.others]
     if not motion:
@@ -343,13 +343,14 @@ def _examine(
 def _find_period(
     folder: Path,
     logs: Sequence[Log],
+    said: float | None,
     answers: Mapping[str, str],
     by_velocities: tuple[float, str] | None,
 ) -> tuple[float, str]:
     """The sampling period [s] of files without times, and the reason; empty where it is assumed."""
     if PERIOD in answers:
         return float(answers[PERIOD]), "as you say"
-    if (period := _only_period({_said_period(folder, log) for log in logs})) is not None:
+    if (period := _only_period({said})) is not None:
         return period, "by the sampling rate that the files say"
     if (by_text := period_beside(folder, {log.file for log in logs})) is not None:
         return by_text
@@ -367,19 +368,22 @@ def _said_period(folder: Path, log: Log) -> float | None:
 
 def _keep_usual_period(
     folder: Path, logs: Sequence[Log], on_message: Callable[[str], None]
-) -> Sequence[Log]:
-    """The logs of the period that most samples have by what files say; all where some say none."""
+) -> tuple[Sequence[Log], float | None]:
+    """The logs of the period that most samples have by what files say, and that period [s].
+
+    All logs and None where some say none.
+    """
     periods = {log.file: _said_period(folder, log) for log in logs}
     samples = Counter[float | None]()
     for log in logs:
         samples[periods[log.file]] += len(log)
     usual = samples.most_common(1)[0][0]
     if None in samples:
-        return logs
+        return logs, None
     for file, period in periods.items():
         if period != usual:
             on_message(f"left out: {file}: a period of {period:g} s, and not {usual:g} s")
-    return [log for log in logs if periods[log.file] == usual]
+    return [log for log in logs if periods[log.file] == usual], usual
 
 
 def _only_period(periods: set[float | None]) -> float | None:
