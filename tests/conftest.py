@@ -234,6 +234,7 @@ def identified(identified_once: Path, tmp_path: Path) -> Path:
 
 SMALL_RECIPE = """
 name = "small"
+start = "derived-6"
 [model]
 hidden = [8, 6]
 stem = 5
@@ -268,6 +269,7 @@ def tiny_recipe(tmp_path: Path) -> Path:
     path = tmp_path / "tiny.toml"
     path.write_text("""
 name = "tiny"
+start = "derived-6"
 [model]
 hidden = [4]
 [[stages]]

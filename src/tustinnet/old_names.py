@@ -54,6 +54,7 @@ KEYS = {
     "stages": "nothing is trained: leave it out (a linear model is found by least squares)",
     "penalty": "train fewer epochs, or a smaller correction",
     "rates": "train each by itself with stages.*.rate, or use tn.fit_many(rates=...)",
+    "loss": "a search compares positions, and velocities in its early stages: leave it out",
     "times": "to ignore timestamps, give `dt` and no [time] in the data card",
 }
 

@@ -205,7 +205,7 @@ SEEDS = ("", "0", "-1", "x", "2.5", "1,1", "0,x", ",", "9" * 12, "9" * 12 + ",1"
         (["--set", "rates=[1]"], ("small.toml, rates: unknown key", "stages.*.rate")),
         *(([f"--seeds={s}"], ("--seeds", "different seeds", "--seeds 3")) for s in SEEDS),
         (["--set", "epochs"], ("--set", "'epochs'", "KEY=VALUE")),
-        (["--set", "search.loss=state"], ("small.toml, search", "unknown key", "stages")),
+        (["--set", "search.robust=huber"], ("small.toml, search", "unknown key", "stages")),
         (["--set", "model.hiden=[4]"], ("small.toml, model.hiden", "did you mean 'hidden'?")),
         (["--set", "model.correction.hidden=[4]"], ("small.toml, model.correction", "unknown key")),
         (

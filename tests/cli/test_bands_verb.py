@@ -25,7 +25,7 @@ def place(identified, folder, system, tmp_path) -> Place:
     """An identified model, and its copy with bands."""
     plain, file = identified / "model.safetensors", tmp_path / "banded" / "model.safetensors"
     calibration = tn.calibrate(plain, validation(folder), file, system=system)
-    assert (calibration.start, calibration.horizon) == ("derived-6", None)
+    assert (calibration.start, calibration.horizon) == ("model-20", None)
     assert calibration.highest_level == pytest.approx(2 / 3)
     return Place(plain, file, folder, system)
 
@@ -93,7 +93,7 @@ def test_bands_that_cannot_be_are_one_line(place, run_folder, tmp_path, refused,
             tn.calibrate(model, data, to, start=start, system=own)
     assert not out.exists()
     sim = ("--out", tmp_path / "sim")
-    start = ("--start", "derived-6")
+    start = ("--start", "model-20")
     refused(
         "simulate",
         banded,
@@ -115,8 +115,8 @@ def test_bands_that_cannot_be_are_one_line(place, run_folder, tmp_path, refused,
         "--band",
         0.6,
         "--start",
-        "model-20",
-        names="'derived-6', whole records, as the model was calibrated",
+        "derived-6",
+        names="'model-20', whole records, as the model was calibrated",
     )
     refused("simulate", plain, folder, *given, *sim, "--band", 0.6, names="without bands")
     refused("simulate", net, folder, *sim, "--band", 0.6, names="nothing says how sure it is")

@@ -84,7 +84,7 @@ def test_a_system_is_identified_anew_in_every_fold(folder, tmp_path, out, capsys
         (["--recipe", "standard", "--system", "{}"], ["--system", "not applicable"]),
         (["--recipe", "standard", "--physics", "best-grey"], ["--physics", "'tustin-net'"]),
         (["--recipe", "nope"], ["no recipe 'nope'"]),
-        (["--recipe", "standard", "--set", "search.loss=state"], ["search", "unknown key"]),
+        (["--recipe", "standard", "--set", "search.robust=huber"], ["search", "unknown key"]),
         (["--recipe", "standard", "--folds", "9"], ["--folds", "9 folds of 5 records", "3 to 5"]),
         (["--recipe", "standard", "--start", "zero"], ["unknown start 'zero'"]),
         (["--cluster", "127.0.0.1"], ["cluster 127.0.0.1", "no address", "HOST:PORT"]),

@@ -526,10 +526,10 @@ GREY = ["--recipe", "grey", "--system", "{}"]
             [*GREY, "--set", "search.method=newton"],
             ["search.method", "'levenberg-marquardt'", "'newton'"],
         ),
-        ([*GREY, "--set", "search.los=state"], ["search.los", "did you mean 'loss'?"]),
+        ([*GREY, "--set", "search.robst=huber"], ["search.robst", "did you mean 'robust'?"]),
         ([*GREY, "--set", "stages.0.epochs=3"], ["recipe 'grey', stages", "unknown key"]),
         (
-            ["--recipe", "standard", "--set", "search.loss=state"],
+            ["--recipe", "standard", "--set", "search.robust=huber"],
             ["recipe 'standard', search", "unknown key"],
         ),
         (

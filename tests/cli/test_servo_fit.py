@@ -72,6 +72,6 @@ def test_without_gravity_and_limits_only_ratios_are_known(tmp_path, capsys):
     logs = write_logs(tmp_path, "t,hinge_rad,hinge_goal", axis="0 0 1", limit="", size=0.3)
     text = fit(capsys, logs)
     (line,) = [line for line in text.splitlines() if "errors are those beside" in line]
-    for gain in ("hinge.kp +- ", "hinge.armature +- ", "hinge.coulomb +- "):
+    for gain in ("hinge.viscous +- ", "hinge.armature +- ", "hinge.coulomb +- "):
         assert gain in line
     assert "records with a known load" in line

@@ -46,7 +46,7 @@ def test_every_score_stands_beside_its_reference():
     t = 0.01 * np.arange(400)
     records = [record(0.3 * np.sin(3 * t)), record(0.2 * np.cos(2 * t), "b")]
     still = Persistence(records[0].channels, False)
-    (one, other) = tn.evaluate(still, records, horizon=2.0)
+    (one, other) = tn.evaluate(still, records, "derived-6", horizon=2.0)
     assert [one.reference, other.reference] == list(find_reference(records, 2.0).rmse.values())
     assert one.reference == one.rmse
     (short,) = tn.evaluate(still, [record(t[:4])], "derived-3")

@@ -135,10 +135,10 @@ def test_a_change_that_cannot_be_made_is_refused_by_name(change, told):
     [
         ("standard", "stages.0.penalty=0.1", r"stages\.0\.penalty: unknown key; train fewer"),
         ("gru", "stages.0.frozen_layers=1", r"stages\.0\.frozen_layers: unknown key"),
-        ("standard", "search.loss=state", "search: unknown key"),
+        ("standard", "search.robust=huber", "search: unknown key"),
         ("standard", "model.fades_at_rest=true", r"model\.fades_at_rest: unknown key"),
         ("grey", "stages.0.epochs=3", "stages: unknown key"),
-        ("grey", "search.los=state", "did you mean 'loss'"),
+        ("grey", "search.robst=huber", "did you mean 'robust'"),
         ("grey", "model.hidden=[3]", r"model\.hidden: unknown key"),
         ("grey", "search.initial=warm-up-20", "a start after the first sample"),
         ("gru", "model.hidden=1000000", r"model\.hidden: .*less than or equal"),

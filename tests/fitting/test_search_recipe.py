@@ -36,7 +36,6 @@ def test_the_packaged_recipes_are_there_and_valid():
 def test_a_recipe_gives_the_values_it_names(tmp_path):
     usual: dict[str, Any] = {
         "initial": "choose",
-        "loss": "position",
         "periodic": False,
         "scaled": True,
         "part": "whole",
@@ -51,18 +50,18 @@ def test_a_recipe_gives_the_values_it_names(tmp_path):
         "refine": "none",
     }
     assert search_of("grey").model_dump() == usual
-    best = SearchRecipe(loss="state", initial="anchored", refine="model-20")
+    best = SearchRecipe(initial="anchored", refine="model-20")
     assert search_of("best-grey") == best
     mine = written(tmp_path / "mine.toml", "iterations = 7\nperiodic = true")
     assert search_of(mine).model_dump() == usual | {"iterations": 7, "periodic": True}
 
 
 def test_changes_are_those_of_the_recipe_and_of_nothing_else():
-    content = {"name": "a", "model": {"kind": "euler-lagrange"}, "search": {"loss": "state"}}
-    changes = ("search.loss=position", "search.substeps=3", "search.initial=derived-6")
-    expected = SearchRecipe(loss="position", substeps=3, initial="derived-6")
+    content = {"name": "a", "model": {"kind": "euler-lagrange"}, "search": {"part": "transients"}}
+    changes = ("search.part=whole", "search.substeps=3", "search.initial=derived-6")
+    expected = SearchRecipe(substeps=3, initial="derived-6")
     assert search_of(content, *changes) == expected
-    assert content["search"] == {"loss": "state"}
+    assert content["search"] == {"part": "transients"}
     recipe = tn.read_recipe("best-grey", changes)
     assert isinstance(recipe, IdentificationRecipe)
     assert recipe.search == expected.model_copy(update={"refine": "model-20"})
@@ -82,8 +81,9 @@ def test_a_recipe_says_what_is_fixed_and_where_the_search_begins():
 @pytest.mark.parametrize(
     ("table", "told"),
     [
-        ('los = "state"', r"search\.los: unknown key.*did you mean 'loss'"),
-        ('loss = "speed"', r"search\.loss: .*'position' or 'state' \(got 'speed'\)"),
+        ('robst = "huber"', r"search\.robst: unknown key.*did you mean 'robust'"),
+        ('loss = "state"', r"search\.loss: unknown key; a search compares positions"),
+        ('robust = "median"', r"search\.robust: .*'huber' or 'student' \(got 'median'\)"),
         ('times = "nominal"', r"search\.times: unknown key; to ignore timestamps, give `dt`"),
         ('part = "other"', r"search\.part: .*'whole' or 'transients'"),
         ('method = "other"', r"search\.method: .*'levenberg-marquardt'"),
@@ -106,7 +106,7 @@ def test_a_wrong_recipe_is_refused_with_the_key(tmp_path, table, told):
 
 def test_a_recipe_of_a_training_has_no_search(small_recipe):
     with pytest.raises(tn.InputError, match="search: unknown key"):
-        tn.read_recipe(small_recipe, ["search.loss=state"])
+        tn.read_recipe(small_recipe, ["search.robust=huber"])
 
 
 def test_an_unknown_recipe_is_refused_with_the_known_ones():

@@ -51,10 +51,9 @@ def test_its_units_are_one(pendulum: tn.DataSet, kind: Kind, value: float) -> No
                 ).velocity[0]
             )
         )
-    for loss in ("position", "state"):
-        unit = make_residual(SearchRecipe(loss=loss), records).unit
-        assert unit[1] == 1.0
-        assert np.all(np.array(unit) > 1e-3)
+    unit = make_residual(SearchRecipe(), records).unit
+    assert unit[1] == 1.0
+    assert np.all(np.array(unit) > 1e-3)
 
 
 def test_its_published_unit_is_one(pendulum: tn.DataSet) -> None:

@@ -136,7 +136,7 @@ def test_a_training_is_a_row(pendulum, tmp_path):
 
 def test_free_runs_start_where_they_usually_do(pendulum, system):
     model = tn.fit(pendulum, "grey", system=system).model
-    given, usual = (tn.evaluate(model, pendulum, *start) for start in (["derived-6"], []))
-    assert [s.start for s in usual] == ["derived-6"] * len(pendulum)
+    given, usual = (tn.evaluate(model, pendulum, *start) for start in (["model-20"], []))
+    assert [s.start for s in usual] == ["model-20"] * len(pendulum)
     assert tn.mean_rmse(usual) == tn.mean_rmse(given)
     np.testing.assert_array_equal(tn.free_run(model, pendulum)[0], usual[0].simulated)

@@ -280,7 +280,7 @@ def test_a_robot_is_judged_in_the_loop_of_its_controller(tmp_path):
     assert choice.context.scoring.horizon is None
     (result,) = choice.candidates.results
     assert len(result.rmse()) == 4
-    assert max(result.rmse(start="derived-6").values()) < 0.01
+    assert max(result.rmse().values()) < 0.01
     assert set(result.unexplained) == {"upper_joint", "lower_joint"}
     tn.write_robot(choice.model, tmp_path / "identified.urdf")
     assert "<mass" in (tmp_path / "identified.urdf").read_text()

@@ -16,7 +16,7 @@ from tustinnet.selection.ranking import (
 
 
 def scores(values: dict[str, float], seed: int = 0) -> FitScore:
-    return FitScore(seed, "finished", f"m{seed}", None, {"model-20": values, "file": values})
+    return FitScore(seed, "finished", f"m{seed}", None, {"model-20": values})
 
 
 def standing(name: str, *folds: dict[str, float]) -> CandidateResult:
@@ -29,21 +29,6 @@ def test_seeds_are_averaged_record_by_record():
     )
     assert of.rmse() == {"r": 2.0, "s": 5.0}
     assert of.rmse([0]) == {"r": 2.0}
-    assert of.rmse(start="file") == {"r": 2.0, "s": 5.0}
-
-
-def test_free_runs_are_judged_from_the_start_from_which_they_are_less_far_off():
-    """Over all folds, a lost run as far off as what is lost."""
-    fits = {
-        0: (FitScore(0, "", "", None, {"one": {"a": 0.1}, "other": {"a": 0.2}}),),
-        1: (FitScore(0, "", "", None, {"one": {"b": 9.0}, "other": {"b": 0.5}}),),
-    }
-    result = CandidateResult("c", {0: fits[0]})
-    assert (result.starts, result.mean) == (("one", "other"), 0.1)
-    result = CandidateResult("c", fits)
-    assert result.starts[0] == "other"
-    assert result.rmse() == {"a": 0.2, "b": 0.5}
-    assert CandidateResult("c", fits, lost=0.4).starts[0] == "one"
 
 
 def test_candidates_are_ranked_by_the_folds_that_all_of_them_have():

@@ -238,7 +238,7 @@ def test_summary_and_header_say_what_was_found(made):
     by_name = {c["name"]: c for c in summary["candidates"]}
     assert set(by_name) == {"grey", "network", "hybrid"}
     for name, of in by_name.items():
-        assert (*of["starts"],) == choice.result(name).starts
+        assert [*of["starts"]] == [choice.result(name).start]
         judged = next(iter(of["starts"].values()))
         assert judged["rmse"] == pytest.approx(choice.result(name).rmse())
         assert judged["mean"] == pytest.approx(np.mean(list(judged["rmse"].values())))
@@ -676,7 +676,7 @@ def test_an_identification_that_is_stopped_is_scored_and_a_resumed_run_repeats_i
         stop_searches(patch, 0)
         with pytest.raises(InputError, match=r"before a stage of its search.*more time: `budget=`"):
             select("refuse")
-        stop_searches(patch, 4)
+        stop_searches(patch, 3)
         stopped, ended = select("resume")
     assert [e for e, _ in ended] == ["out of time"]
     assert all("stopped at its time limit after stage 1 of " in outcome for _, outcome in ended)

@@ -61,7 +61,7 @@ _Starts = Annotated[
         metavar="NAME",
         autocompletion=completion.start,
         help="Initial states of the free runs, as for evaluate; may be repeated. Default: the "
-        "usual start (see evaluate) and model-20.",
+        "usual start (see evaluate).",
     ),
 ]
 

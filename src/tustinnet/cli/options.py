@@ -102,7 +102,7 @@ Set = Annotated[
         "--set",
         metavar="KEY=VALUE",
         help="Change a key of the recipe, e.g. model.hidden=[64,64], stages.*.epochs=50, "
-        "search.loss=state, model.fixed.mass=0.4. May be repeated.",
+        "search.robust=huber, model.fixed.mass=0.4. May be repeated.",
     ),
 ]
 Group = Annotated[
@@ -131,8 +131,8 @@ def _start(default: str) -> Any:
         metavar="NAME",
         autocompletion=completion.start,
         help=f"Initial states of the free runs: {starts_help()}. Default: {default}warm-up-N where "
-        "the model needs a warm-up, else file where records have velocity columns, else model-20 "
-        "for oscillations with fewer than 20 samples per period, else derived-6.",
+        "the model needs a warm-up, else file where records have velocity columns, else model-20, "
+        "or derived-6 of records with fewer than 40 samples.",
     )
 
 

@@ -24,7 +24,7 @@ from tustinnet.evaluate.scores import (
 from tustinnet.models.contract import Model, State
 from tustinnet.models.step_layout import StepInput
 from tustinnet.signals.outliers import white_noise
-from tustinnet.simulate.starts import Start, default_start
+from tustinnet.simulate.starts import Start, measured_start
 
 
 class Persistence(Model):
@@ -116,13 +116,13 @@ def unseen(record: Experiment) -> Float[np.ndarray, " n_q"]:
 
 
 def find_reference(records: Sequence[Experiment], horizon: float | None) -> Reference:
-    """The reference of free runs of records, from their default start.
+    """The reference of free runs of records, from what was measured alone.
 
     Args:
         records: the records, one at least.
         horizon: how long a free run lasts at most [s], None for whole records.
     """
-    channels, start = records[0].channels, default_start(records)
+    channels, start = records[0].channels, measured_start(records)
     # no input moves them, whatever is known of when it acts
     holds = ["zero-order" if i.hold == "unknown" else i.hold for i in channels.inputs]
     inputs = [replace(i, hold=h, delay=0.0) for i, h in zip(channels.inputs, holds, strict=True)]
@@ -162,7 +162,7 @@ def evaluate(
         experiments: records of any lengths, a data set of them, or one.
         start: where the free runs start, as `start_states` takes it; that of a fit is its `start`.
             By default a warm-up or `model-20` where internal states ask for it, else `file` where
-            a sensor measured all velocities, else `derived-6`, or `model-20` of fast swings.
+            a sensor measured all velocities, else `model-20`, or `derived-6` of short records.
         horizon: how long a free run lasts at most [s], see `free_run`; a record's score is over
             all its segments. None for whole records.
 

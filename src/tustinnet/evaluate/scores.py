@@ -84,7 +84,7 @@ def free_run(
         experiments: records of any lengths, a data set of them, or one.
         start: where the free runs start, as `start_states` takes it; that of a fit is its `start`.
             By default a warm-up or `model-20` where internal states ask for it, else `file` where
-            a sensor measured all velocities, else `derived-6`, or `model-20` of fast swings.
+            a sensor measured all velocities, else `model-20`, or `derived-6` of short records.
         horizon: how long a free run lasts at most [s]; the state is estimated anew at the
             beginning of every such segment. None for whole records.
 

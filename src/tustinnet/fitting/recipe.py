@@ -157,9 +157,7 @@ class StageRecipe(Declaration):
 
 
 # keys of what is simulated, which inverse dynamics has no use for
-_SIMULATED = (
-    *("initial", "loss", "periodic", "scaled", "robust", "refine", "tolerance", "iterations"),
-)
+_SIMULATED = (*("initial", "periodic", "scaled", "robust", "refine", "tolerance", "iterations"),)
 
 
 class SearchRecipe(Declaration):
@@ -196,7 +194,6 @@ class SearchRecipe(Declaration):
     """
 
     initial: Initial | str = "choose"
-    loss: Compared = "position"
     periodic: bool = False
     scaled: bool = True
     robust: Robust = "none"
@@ -320,7 +317,7 @@ class FreeRunRecipe(Recipe):
     Attributes:
         velocity: where the velocities come from (`Experiment.velocities`).
         start: where these free runs start; when left out, the model's warm-up if it needs one, else
-            `file` where a sensor measured velocities, else `derived-6`.
+            `file` where a sensor measured velocities, else `model-20` (short records: `derived-6`).
         horizon: how long such a free run lasts at most [s]: longer records are cut end to end into
             segments with a start each; none for whole records.
     """

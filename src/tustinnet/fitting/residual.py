@@ -24,7 +24,7 @@ class Residual:
 
     A residual is `e / unit`, or for a periodic channel `2 sin(e / 2) / unit`, whose square is the
     periodic distance `2 (1 - cos e)` of the paper. The first channels of a state are compared:
-    positions, and velocities where the loss is of the `state`.
+    positions, and velocities in a search, and in a training whose loss is of the `state`.
 
     Attributes:
         periodic: which of the compared channels are, (n_y,).
@@ -52,6 +52,10 @@ class Residual:
         if not any(self.periodic):
             return error
         return jnp.where(np.array(self.periodic), 2 * jnp.sin(error / 2), error)
+
+    def of_positions(self, error: Float[np.ndarray, "n n_q"]) -> Float[np.ndarray, "n n_q"]:
+        """Residuals of errors of positions alone before they are divided by the units."""
+        return np.where(self.periodic[: error.shape[1]], 2 * np.sin(error / 2), error)
 
     @property
     def formula(self) -> engine.ResidualFormula:
@@ -93,17 +97,17 @@ def make_residual(
     same everywhere.) All its units are rounded to powers of two: folds then share a program.
 
     Args:
-        recipe: the keys `loss`, `periodic` and `scaled` of it.
+        recipe: the keys `periodic` and `scaled` of it, and `loss` of a training.
         experiments: the training records.
     """
     channels = experiments[0].channels
     angular = tuple(bool(a) and recipe.periodic for a in channels.angular)
-    state = recipe.loss == "state"
+    trains = isinstance(recipe, StageRecipe)
+    state = not trains or recipe.loss == "state"
     periodic = (*angular, *([False] * channels.n_q if state else []))
     span = np.where(
         moving_coordinates(experiments), _spread([e.q.var(axis=0) for e in experiments]), 0.0
     )
-    trains = isinstance(recipe, StageRecipe)
     length = ~channels.angular & (span > 0) & trains
     plain = np.where(length, _to_power_of_two(np.where(length, span, 1.0)), _STILL_UNIT)
     if not recipe.scaled:
@@ -123,8 +127,8 @@ def make_residual(
 
 
 def robust_weights(
-    kind: Robust, errors: Float[np.ndarray, "n n_y"], counts: Float[np.ndarray, " n_q"]
-) -> Float[np.ndarray, "n n_y"]:
+    kind: Robust, errors: Float[np.ndarray, "n n_q"], counts: Float[np.ndarray, " n_q"]
+) -> Float[np.ndarray, "n n_q"]:
     """The weights of squared residuals in the next step of iteratively reweighted least squares.
 
     With `z` the residual over its channel's scale: `min(1, 1.345 / |z|)` (Huber), or
@@ -133,7 +137,7 @@ def robust_weights(
 
     Args:
         kind: the rule.
-        errors: simulated minus measured, (n, n_y) [rad, m, or over s].
+        errors: simulated minus measured positions, (n, n_q) [rad or m].
         counts: the encoders' counts, 0 where unknown, (n_q,) [rad or m].
 
     Returns:
@@ -146,8 +150,7 @@ def robust_weights(
     """
     if kind == "none":
         return np.ones_like(errors)
-    least = np.full(errors.shape[1], _LEAST_SCALE)
-    least[: len(counts)] = np.maximum(np.nan_to_num(counts) / np.sqrt(12), _LEAST_SCALE)
+    least = np.maximum(np.nan_to_num(counts) / np.sqrt(12), _LEAST_SCALE)
     deviation = np.median(np.abs(errors - np.median(errors, axis=0)), axis=0)
     z = np.abs(errors) / np.maximum(TO_DEVIATION * deviation, least)
     if kind == "huber":

@@ -348,18 +348,15 @@ class Choice(Shown):
         if not result.fits_by_fold:
             return common
         difference = paired_difference(result, best)
-        by_start = {start: result.rmse(start=start) for start in result.starts}
+        rmse = result.rmse()
+        mean, error = mean_and_error(rmse.values())
         return {
             **common,
             "model": self.file(result.name) if result.name in self.origins else None,
             "made": self.origins.get(result.name),
             "folds": sorted(result.fits_by_fold),
             **({"unexplained": result.unexplained} if result.unexplained else {}),
-            "starts": {
-                start: {"mean": mean, "standard_error": error, "rmse": rmse}
-                for start, rmse in by_start.items()
-                for mean, error in [mean_and_error(rmse.values())]
-            },
+            "starts": {result.start: {"mean": mean, "standard_error": error, "rmse": rmse}},
             "difference": asdict(difference),
             "models": [fit.model for fit in result.fits if fit.model],
         }

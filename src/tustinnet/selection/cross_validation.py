@@ -23,7 +23,7 @@ from tustinnet.selection.runner import Workplace, run_jobs
 from tustinnet.selection.scoring import RecipeScorer
 from tustinnet.shown import Shown
 from tustinnet.simulate.horizon import horizon_samples
-from tustinnet.simulate.starts import default_and_fitted_starts, start_named
+from tustinnet.simulate.starts import default_start, start_named
 from tustinnet.store.kept_system import CANDIDATES
 from tustinnet.store.run_folder import SCORES
 from tustinnet.systems.files import AnySystem, SystemTemplate
@@ -116,7 +116,7 @@ class CrossValidationOptions:
         system: the system that is identified, or None.
         folds: how many; by default 5, or as many as there are records.
         seeds: those of every fold.
-        starts: where free runs start; by default the default start, and `model-20`.
+        starts: where free runs start; by default the usual start.
     """
 
     recipe: Recipe
@@ -145,7 +145,7 @@ def make_cross_validation_options(
             default.
         folds: how many; by default 5, or as many as there are records.
         seeds: those of every fold; 0 by default.
-        starts: where free runs start; by default the default start, and `model-20`.
+        starts: where free runs start; by default the usual start.
 
     Raises:
         InputError: an argument that is not applicable to the recipe, or one that it requires is
@@ -228,7 +228,7 @@ def cross_validate(
     data = prepare_for_validation(data, options, listener)
     records = records_without_test(data)
     folds = len(split_into_folds(data, options.folds))
-    starts = options.starts or default_and_fitted_starts(records)
+    starts = options.starts or (default_start(records),)
     for start in starts:
         horizon_samples(options.recipe.longest_run, records, start_named(start))
     context = RunContext(

@@ -92,8 +92,7 @@ class SelectionPlan(Declaration):
         keep: share of the kinds of models that go on from the first fold to the others, the best
             first, two at least; each kind with one candidate, the simplest that is as good as its
             best.
-        start: where the free runs start that judge, or at the default start where a candidate is
-            nearer to the records from there; models that need a warm-up start with theirs.
+        start: where the free runs start that judge; models that need a warm-up start with theirs.
         horizon: how long a free run that judges lasts at most [s]; none for whole records.
         candidates: from the simplest to the most complex, which is also by increasing cost.
     """

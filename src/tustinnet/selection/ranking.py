@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -65,33 +64,22 @@ class CandidateResult:
         """The fits of all folds."""
         return tuple(fit for fold in sorted(self.fits_by_fold) for fit in self.fits_by_fold[fold])
 
-    @cached_property
-    def starts(self) -> tuple[str, ...]:
-        """The starts that its models were scored from, first the one that judges.
-
-        That is the one from which its free runs are less far off: a model that is nearly right may
-        explain its first samples by a wrong speed, and few or coarse samples do not tell it.
-        """
-        starts = dict.fromkeys(start for fit in self.fits for start in fit.rmse)
-        return tuple(sorted(starts, key=lambda s: _mean(self._compared(self.rmse(start=s)))))
-
     @property
     def start(self) -> str:
-        """The start that judges."""
-        return self.starts[0]
+        """The start of its free runs that judges."""
+        return next(iter(self.fits[0].rmse))
 
-    def rmse(self, folds: Iterable[int] | None = None, start: str = "") -> dict[str, float]:
+    def rmse(self, folds: Iterable[int] | None = None) -> dict[str, float]:
         """Mean over the seeds of every record's RMSE [rad or m].
 
         Args:
             folds: of which folds; all that were done by default.
-            start: of the free runs; by default the one that judges.
         """
         return mean_by_key(
             pair
             for fold in (self.fits_by_fold if folds is None else folds)
             for fit in self.fits_by_fold[fold]
-            for pair in fit.rmse.get(start or self.start, {}).items()
+            for pair in fit.rmse[self.start].items()
         )
 
     @property
@@ -104,9 +92,7 @@ class CandidateResult:
 
         How far a run is off that has left its record says nothing. One that is not finite counts.
         """
-        return self._compared(self.rmse(folds))
-
-    def _compared(self, rmse: Mapping[str, float]) -> dict[str, float]:
+        rmse = self.rmse(folds)
         return {r: min(x, self.lost) if np.isfinite(x) else np.inf for r, x in rmse.items()}
 
     @property

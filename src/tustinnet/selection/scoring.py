@@ -11,7 +11,7 @@ from tustinnet.fitting.roles import records_without_test
 from tustinnet.models.contract import Model
 from tustinnet.selection.folds import FoldSplit, names_of
 from tustinnet.simulate.horizon import effective_horizon
-from tustinnet.simulate.starts import default_and_fitted_starts, default_start
+from tustinnet.simulate.starts import default_start
 
 RmseByStart = dict[str, dict[str, float]]  # of records by start, the one that decides first
 
@@ -35,9 +35,8 @@ class Scorer:
         return asdict(self)
 
     def starts(self, model: Model, data: DataSet) -> tuple[str, ...]:
-        """The starts of a model's free runs: first the start that decides, then the default one."""
-        default = default_start(list(data), model)
-        return (default,) if model.warm_up else tuple(dict.fromkeys((self.start, default)))
+        """The starts of a model's free runs: the one that decides, or the model's warm-up."""
+        return (default_start(list(data), model) if model.warm_up else self.start,)
 
     def score(
         self, model: Model, fit_horizon: float | None, split: FoldSplit, data: DataSet
@@ -79,7 +78,7 @@ class RecipeScorer(Scorer):
     """Free runs over the horizon of the recipe, from any starts: one recipe is scored by itself.
 
     Attributes:
-        names: where the free runs start; () for the model's default start and `model-20`.
+        names: where the free runs start; () for the model's default start.
         warm_up: whether models that need a warm-up start with theirs instead.
     """
 
@@ -88,9 +87,7 @@ class RecipeScorer(Scorer):
 
     def starts(self, model: Model, data: DataSet) -> tuple[str, ...]:
         """The starts of a model's free runs."""
-        if not self.names:
-            return default_and_fitted_starts(list(data), model)
-        if self.warm_up and model.warm_up:
+        if not self.names or (self.warm_up and model.warm_up):
             return (default_start(list(data), model),)
         return self.names
 

@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Float
 
 from tustinnet.data.experiment import Experiment
-from tustinnet.data.inspection import coordinate_timescales
 from tustinnet.errors import InputError
 from tustinnet.models.contract import Model
 from tustinnet.simulate.batches import map_in_batches
@@ -20,31 +19,26 @@ from tustinnet.simulate.start_rules import (
 )
 
 
+def measured_start(experiments: Sequence[Experiment]) -> str:
+    """The usual start without a model: `file` where a sensor measured all velocities."""
+    is_stored = all(e.sensor_velocities is not None for e in experiments)
+    return (STORED if is_stored else DERIVED).usual
+
+
 def default_start(experiments: Sequence[Experiment], *models: Model) -> str:
     """The start that is used where none is named, the same for all of some models.
 
-    A warm-up where a model needs one; `model-20` where internal states are to be searched for, as
-    those of a controller; else `file` where a sensor measured the velocities of every record; else
-    `derived-6`, or `model-20` where a coordinate swings with few samples in a period: a parabola
-    through 6 samples is then far from the motion.
+    A warm-up where a model needs one; else `file` where a sensor measured the velocities of every
+    record, and no internal states are to be searched for, as those of a controller; else
+    `model-20`, or `derived-6` of records with fewer than 40 samples.
     """
     warm_up = max((model.warm_up for model in models), default=0)
     if warm_up:
         return WarmUpStart(warm_up).name
+    measured = measured_start(experiments)
+    is_searched = any(model.searched_internal.any() for model in models)
     is_long = min(map(len, experiments)) >= 2 * FIT_SAMPLES
-    if is_long and any(model.searched_internal.any() for model in models):
-        return FITTED.usual
-    if all(e.sensor_velocities is not None for e in experiments):
-        return STORED.usual
-    is_fast = is_long and any(
-        scales.is_fast for scales in coordinate_timescales(experiments).values()
-    )
-    return (FITTED if is_fast else DERIVED).usual
-
-
-def default_and_fitted_starts(experiments: Sequence[Experiment], *models: Model) -> tuple[str, ...]:
-    """The default start and the usual start that is fitted through the model, each once."""
-    return tuple(dict.fromkeys((default_start(experiments, *models), FITTED.usual)))
+    return FITTED.usual if is_long and (is_searched or measured != STORED.usual) else measured
 
 
 def start_states(

@@ -14,7 +14,7 @@ from tustinnet.simulate.batches import batches
 from tustinnet.simulate.input_signal import input_signals
 from tustinnet.simulate.simulation import simulate_runs
 from tustinnet.simulate.start_rules import PARABOLA_SAMPLES
-from tustinnet.simulate.starts import default_start, start_states
+from tustinnet.simulate.starts import measured_start, start_states
 
 PROBED_SECONDS = 2.0  # of each record
 MOST_CHOSEN = 64  # integration steps in a period
@@ -42,7 +42,7 @@ def choose_substeps(
 
     def substeps_of_batch(model: ContinuousModel, batch: Sequence[Experiment]) -> int:
         discrete = discretise(model, batch[0].dt, inputs=batch[0].inputs)
-        x0 = start_states(discrete, batch, default_start(batch))
+        x0 = start_states(discrete, batch, measured_start(batch))
         signal = input_signals(discrete, batch)
 
         def positions(substeps: int) -> np.ndarray:
@@ -76,7 +76,7 @@ def fewest_substeps(model: Discretised, experiments: Sequence[Experiment], share
     heads = [e for e in _heads(experiments) if len(e) >= PARABOLA_SAMPLES]
     if not heads:
         return model.substeps
-    start = default_start(heads)
+    start = measured_start(heads)
 
     runs = []
     for shared, rows in batches(model, heads):

@@ -275,7 +275,7 @@ def test_a_search_by_simulation_begins_at_its_values(result, twin, system):
 
 def test_keys_without_an_effect_are_refused(twin, system):
     for change, message in (
-        ("search.loss=state", "`loss` does nothing with method 'inverse-dynamics'"),
+        ("search.scaled=false", "`scaled` does nothing with method 'inverse-dynamics'"),
         ("search.robust=huber", "`robust` does nothing"),
     ):
         with pytest.raises(InputError, match=message):

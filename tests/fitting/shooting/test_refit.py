@@ -27,7 +27,7 @@ from tustinnet.report.fits import parameter_table
 
 START = "model-20"
 SYSTEM = swing_model().system
-QUICK = ("search.initial=anchored", "search.loss=position")
+QUICK = ("search.initial=anchored",)
 
 
 def recipe(*changes: str, refine: str | None = START) -> tn.Recipe:

@@ -99,7 +99,7 @@ def test_identify_takes_a_condition_to_stop():
     assert not result.sound
 
 
-@pytest.mark.parametrize("is_over", [lambda search: True, in_stage(1, 1)])
+@pytest.mark.parametrize("is_over", [lambda search: True, in_stage(1, 0)])
 def test_without_a_finished_stage_there_is_no_model_and_it_says_so(is_over):
     with pytest.raises(UnfinishedSearchError, match=r"before a stage was finished; .*allow more"):
         Search(swing_task(), is_over).run()

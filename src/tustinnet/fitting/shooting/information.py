@@ -57,7 +57,7 @@ def fisher_information(
     """
     options = SearchRecipe(initial="anchored", substeps=substeps)
     problem = Problem(system, tuple(records), (), options)
-    segments = problem.segments(None, "anchored", {})
+    segments = problem.segments(None, "anchored", {}).without_velocities(system.channels)
     # in a simulation the state at the beginning is exact
     x0 = segments.x0.copy()
     x0[:, records[0].channels.measured] = [

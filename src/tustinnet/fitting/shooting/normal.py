@@ -36,7 +36,7 @@ class NormalProducts:
         gx: `X'r`, (n_s, n_x).
         cost: `r'r`, (n_s,); with the cost of the anchors where `add_anchors` has added it, which
             is in `xx` and `gx`, too.
-        error: simulated minus measured, not weighted, of each (its samples, n_y).
+        error: simulated minus measured positions of each, (its samples, n_q) [rad or m].
     """
 
     pp: Float[np.ndarray, "n_s n_p n_p"]
@@ -45,7 +45,7 @@ class NormalProducts:
     gp: Float[np.ndarray, "n_s n_p"]
     gx: Float[np.ndarray, "n_s n_x"]
     cost: Float[np.ndarray, " n_s"]
-    error: tuple[Float[np.ndarray, "_ n_y"], ...]
+    error: tuple[Float[np.ndarray, "_ n_q"], ...]
 
     @property
     def is_finite(self) -> bool:
@@ -121,7 +121,9 @@ def compute_products(
         gp=result.gradient[:, free] * chain,
         gx=result.gradient[:, n_p:],
         cost=result.cost,
-        error=tuple(np.split(result.error, np.cumsum(segments.steps + 1)[:-1])),
+        error=tuple(
+            np.split(result.error[:, system.channels.position], np.cumsum(segments.steps + 1)[:-1])
+        ),
     )
 
 

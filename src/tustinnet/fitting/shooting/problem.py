@@ -29,9 +29,9 @@ from tustinnet.models.integrate import Discretised, discretise
 from tustinnet.models.lagrangian import LagrangianSystem, Parameter
 from tustinnet.models.sensors import delay_names, with_delays
 from tustinnet.simulate.horizon import effective_horizon, horizon_samples, pieces
-from tustinnet.simulate.start_names import DERIVED, FITTED
+from tustinnet.simulate.start_names import FITTED
 from tustinnet.simulate.start_rules import Start, start_named
-from tustinnet.simulate.starts import default_start, start_states
+from tustinnet.simulate.starts import default_start, measured_start, start_states
 
 _HELD_HORIZON = 0.25  # s, of free runs of a system that a controller of unknown kind held
 
@@ -97,8 +97,7 @@ class Problem:
     @property
     def measured_start(self) -> Start:
         """The start of free runs whose initial states are found without a model."""
-        default = self.default_start
-        return start_named(DERIVED.usual) if default.needs_model else default
+        return start_named(measured_start([*self.records, *self.validation]))
 
     def scoring_start(self, horizon: int | None) -> Start:
         """The start of the free runs that are scored, over a horizon in steps or as a whole.
@@ -203,7 +202,7 @@ class SearchState:
         space: the search space: free and fixed parameters.
         vector: the free parameters.
         substeps: integration steps in a sampling period.
-        variance: mean squared residual of a record so far.
+        variance: mean squared residual of a record's positions so far.
         result: result of the last stage that was finished, None before the first.
         stage: what that stage was doing.
         initial_treatment: how initial states were treated in it.
@@ -219,7 +218,7 @@ class SearchState:
             longer ones diverge; None where whole records can be simulated.
         remarks: findings of the search so far.
         confounded: parameters that the records do not tell apart; one of each set is fixed.
-        robust_weights: weight of every squared residual in a robust search, (n, n_y); None while
+        robust_weights: weight of every squared residual in a robust search, (n, n_q); None while
             each weighs the same.
         has_fitted_values: whether the values were fitted to forces, or to short segments, of the
             records already, so that no equation-error estimate is needed.
@@ -326,8 +325,7 @@ def position_errors(
     problem: Problem, state: SearchState, segments: Segments, substeps: int
 ) -> list[np.ndarray]:
     """Simulated minus measured positions of segments, (samples, n_q) each [rad or m]."""
-    products = problem.products(state.space, state.vector, segments, substeps)
-    return [error[:, problem.system.channels.position] for error in products.error]
+    return list(problem.products(state.space, state.vector, segments, substeps).error)
 
 
 def score_validation(problem: Problem, state: SearchState) -> float:

@@ -244,7 +244,7 @@ def _residuals_over_noise(
     """
     errors = np.concatenate(without_overflow(result.products.error))
     counts = records[0].channels.resolution
-    sizes = np.sqrt(np.mean(errors[:, : len(counts)] ** 2, axis=0))
+    sizes = np.sqrt(np.mean(errors**2, axis=0))
     if not np.all(counts > 0):
         motion = np.concatenate([e.q for e in records]).std(axis=0)
         return 0.0 if np.all(sizes < _EXACT * motion) else None
@@ -252,7 +252,7 @@ def _residuals_over_noise(
 
 
 def _downweighted(
-    weights: Float[np.ndarray, "n n_y"], records: Sequence[Experiment]
+    weights: Float[np.ndarray, "n n_q"], records: Sequence[Experiment]
 ) -> tuple[Stretch, ...]:
     """Stretches of samples whose mean weight over the channels is below a half."""
     stretches, row = [], 0

@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
+from tustinnet.channels import Channels
 from tustinnet.data.experiment import Experiment
 from tustinnet.fitting.residual import Residual
 from tustinnet.models.contract import Model
@@ -45,7 +46,7 @@ class Segments:
             `groups.group_indices`, (n_s, n_g).
         inputs: inputs from each sample to the next, (n, ...).
         periods: time from each sample to the next [s], (n,); 0 at the end of a record.
-        measurements: measured positions, and velocities where the loss is of the state, (n, n_y).
+        measurements: measured positions and velocities, (n, n_y).
         weights: factor of every residual before it is squared, (n, n_y).
         inputs_by_delay: derivative of `inputs` by the inputs' delays [1/s]; None where no delay is
             searched for.
@@ -93,6 +94,12 @@ class Segments:
     def first_of_records(self) -> Int[np.ndarray, " n_r"]:
         """Index of the first segment of each record."""
         return first_of_records(self.record)
+
+    def without_velocities(self, channels: Channels) -> "Segments":
+        """Segments of which positions alone are compared."""
+        weights = self.weights.copy()
+        weights[:, channels.velocity] = 0.0
+        return replace(self, weights=weights)
 
     def for_records(self, records: Collection[int]) -> "Segments":
         """Segments of some of the records, given by index."""

@@ -56,11 +56,14 @@ class SearchStage:
         initial_treatment: how initial states are treated, see `CutOptions`.
         stopping: when it ends.
         quarter_swings: length of the segments in quarters of a swing, None for whole records.
+        is_final: whether positions alone are compared. Velocities lead from values that are far
+            off, but those that a stencil derives are too slow for fast motion.
     """
 
     initial_treatment: str
     stopping: StoppingRule
     quarter_swings: int | None = None
+    is_final: bool = False
 
 
 def search(problem: Problem, state: SearchState) -> SearchState:
@@ -194,7 +197,8 @@ def run_final_stage(problem: Problem, state: SearchState, initial_treatment: str
         initial_treatment: how initial states are treated, see `CutOptions`.
     """
     options = problem.search
-    stage = SearchStage(initial_treatment, StoppingRule(options.tolerance, options.iterations))
+    stopping = StoppingRule(options.tolerance, options.iterations)
+    stage = SearchStage(initial_treatment, stopping, is_final=True)
     finished = state.finished_stages
     before, state = state, run_stage(problem, state, stage)
     for _ in range(20 if options.robust != "none" else 0):
@@ -254,8 +258,11 @@ def run_stage(problem: Problem, state: SearchState, stage: SearchStage) -> Searc
         return replace(state, is_stopped=True)
     steps = stage.quarter_swings and stage.quarter_swings * problem.motion.quarter_swing
     segments = problem.segments(steps, stage.initial_treatment, state.horizons)
+    if stage.is_final:
+        segments = segments.without_velocities(problem.system.channels)
     if state.robust_weights is not None:
-        segments = replace(segments, weights=segments.weights * np.sqrt(state.robust_weights))
+        weights = segments.weights * np.sqrt(np.tile(state.robust_weights, 2))
+        segments = replace(segments, weights=weights)
     # over a few swings the integration error stays far below what the early stages leave
     substeps = state.substeps if steps is None else max(1, state.substeps // 2)
     cost = make_cost_function(problem, state, segments, substeps)
@@ -280,14 +287,16 @@ def run_stage(problem: Problem, state: SearchState, stage: SearchStage) -> Searc
     )
     if state.has_diverged:
         return state
+    counts = problem.records[0].channels.resolution
+    errors = np.zeros((len(segments.measurements), len(counts)))
+    for k, error in enumerate(result.products.error):
+        errors[segments.rows(k)] = error
+    squares = problem.residual.of_positions(errors) ** 2 * segments.weights[:, : len(counts)] ** 2
     weights = None
     if problem.search.robust != "none":
-        errors = np.zeros_like(segments.measurements)
-        for k, error in enumerate(result.products.error):
-            errors[segments.rows(k)] = error
-        counts = problem.records[0].channels.resolution
         weights = robust_weights(problem.search.robust, errors, counts)
-    return replace(state, variance=result.cost / len(problem.records), robust_weights=weights)
+    variance = float(squares.sum()) / len(problem.records)
+    return replace(state, variance=variance, robust_weights=weights)
 
 
 def _segments_in_words(problem: Problem, state: SearchState, steps: int | None) -> str:

@@ -190,13 +190,13 @@ def _inverse(matrix: np.ndarray) -> np.ndarray:
 
 
 def without_overflow(
-    errors: Sequence[Float[np.ndarray, "_ n_y"]],
-) -> list[Float[np.ndarray, "_ n_y"]]:
+    errors: Sequence[Float[np.ndarray, "_ n_q"]],
+) -> list[Float[np.ndarray, "_ n_q"]]:
     """Residuals, 0 where a simulation diverged so far that their squares overflow."""
     return [np.where(np.abs(x) < LARGEST, x, 0.0) for x in errors]
 
 
-def lag_correlation(errors: Sequence[Float[np.ndarray, "_ n_y"]]) -> Float[np.ndarray, " n_y"]:
+def lag_correlation(errors: Sequence[Float[np.ndarray, "_ n_q"]]) -> Float[np.ndarray, " n_q"]:
     """Correlation of residuals from one sample to the next, pooled over records, not centred."""
     finite = without_overflow(errors)
     before = np.concatenate([x[:-1] for x in finite])
