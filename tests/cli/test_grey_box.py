@@ -109,7 +109,7 @@ def test_the_parameters_of_a_search_that_was_stopped_are_in_its_log(
         after = replace(listener, on_stage=lambda of: (listener.on_stage(of), told.append(of)))
 
         def iteration(of):
-            if len(told) == 2:
+            if len(told) == 1:
                 raise KeyboardInterrupt
             listener.on_iteration(of)
 

@@ -250,26 +250,26 @@ def test_a_system_without_inputs_is_identified():
 
 
 def test_intervals_of_a_fast_oscillator_hold_the_truth():
-    """At 8 samples a period a stencil loses a hundredth of the velocity."""
+    """At 12 samples a period a parabola of some tells neither place nor velocity."""
     cart = tn.LagrangianSystem(
         name="cart",
         coordinates=(tn.Coordinate("place", "linear"),),
         inputs=(),
         parameters=(tn.Parameter("mass", "kg", 1.0, 0.1, 10.0),),
         kinetic=lambda q, v, p: p["mass"] * v[0] ** 2 / 2,
-        potential=lambda q, p: (2 * np.pi / (8 * DT)) ** 2 * (q[0] ** 2 + q[0] ** 4 / 2) / 2,
+        potential=lambda q, p: (2 * np.pi / (12 * DT)) ** 2 * (q[0] ** 2 + q[0] ** 4 / 2) / 2,
     )
     model = tn.discretise(cart.model({"mass": jnp.asarray(1.0)}), DT, 8)
     random = np.random.default_rng(0)
     fast = []
     for i in range(6):
-        x = np.asarray(tn.rollout(model, np.array([0.2 + 0.1 * i, 0.0]), np.zeros((199, 0))))
+        x = np.asarray(tn.rollout(model, np.array([0.3 + 0.15 * i, 0.0]), np.zeros((199, 0))))
         q = x[:, 0] + random.normal(0, 1e-3, 200)
         fast.append(tn.from_arrays(q, dt=DT, coordinates=cart.coordinates, name=f"e{i}"))
     (mass,) = tn.identify(data_set(fast), cart, "best-grey").estimates
     assert mass.interval is not None
     assert mass.interval[0] < 1.0 < mass.interval[1]
-    assert mass.interval[1] - mass.interval[0] < 1e-2
+    assert mass.interval[1] - mass.interval[0] < 1e-3
 
 
 # --- what there is to say ---

@@ -160,7 +160,7 @@ def _fit_records(
     space, whole = state.space, state.last_result
     segments = whole.segments.for_records(records)
     cost = make_cost_function(problem, state, segments, state.substeps)
-    result = minimise(cost, state.vector, _CLOSE)
+    result = minimise(cost, state.vector, _CLOSE, x0=whole.continue_in(segments))
     if result.status == "diverged" or not np.isfinite(result.products.cost).all():
         return None
     part_information, information = (

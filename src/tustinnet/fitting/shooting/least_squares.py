@@ -141,6 +141,17 @@ class LeastSquaresResult:
     iterations: int
     status: str
 
+    def continue_in(self, segments: Segments) -> Float[np.ndarray, "n_s n_x"]:
+        """Initial states of other segments: as they were found where one began at the same row."""
+        if self.x0.shape[1] != segments.x0.shape[1]:
+            return segments.x0
+        _, new, old = np.intersect1d(
+            segments.first_row, self.segments.first_row, return_indices=True
+        )
+        x0 = segments.x0.copy()
+        x0[new] = np.where(segments.is_free[new], self.x0[old], x0[new])
+        return x0
+
 
 # iterations so far, lowest cost, damping, whether the last step was accepted
 OnStep = Callable[[int, float, float, bool], None]
@@ -152,6 +163,7 @@ def minimise(
     stopping: StoppingRule,
     on_step: OnStep = lambda iterations, cost, damping, is_accepted: None,
     should_stop: Callable[[], bool] = lambda: False,
+    x0: Float[np.ndarray, "n_s n_x"] | None = None,
 ) -> LeastSquaresResult:
     """Minimises the simulation error over parameters and initial states.
 
@@ -165,6 +177,7 @@ def minimise(
         stopping: when to end.
         on_step: called after every simulation, of which an iteration takes one or more.
         should_stop: asked before every step; the result then is that of the iterations so far.
+        x0: initial states to start from, as of `continue_in`; by default those of the segments.
 
     References:
         Marquardt (1963), An algorithm for least-squares estimation of nonlinear parameters.
@@ -187,7 +200,7 @@ def minimise(
         small = undamped.predicted_decrease <= stopping.tolerance * (point.cost + _TINY)
         return bool(small or length < 1e-10)
 
-    point = evaluate(cost.space.clip(vector), cost.segments.x0)
+    point = evaluate(cost.space.clip(vector), cost.segments.x0 if x0 is None else x0)
     iterations, status = 0, "diverged"
     if np.isfinite(point.cost):
         on_step(0, point.cost, _DAMPING_RULE.initial, False)

@@ -173,9 +173,12 @@ def cut_records(
     channels = model.channels
     record, begins, ends = [], [], []
     for i, e in enumerate(experiments):
-        limits = [n for n in (options.steps, options.horizons.get(e.name)) if n]
-        count = -(-(len(e) - 1) // min(limits)) if limits else 1
-        edges = np.linspace(0, len(e) - 1, count + 1).round().astype(int)
+        last, count = len(e) - 1, 1
+        if options.steps:  # a power of two: longer segments begin where shorter ones did
+            count = 2 ** max(0, round(np.log2(last / options.steps)))
+        if horizon := options.horizons.get(e.name):
+            count = max(count, -(-last // horizon))
+        edges = np.arange(count + 1) * last // count
         for begin, end in pairwise(edges.tolist()):
             record.append(i)
             begins.append(begin)

@@ -270,7 +270,8 @@ def run_stage(problem: Problem, state: SearchState, stage: SearchStage) -> Searc
     name = f"{_segments_in_words(problem, state, steps)}, {treatment} start"
 
     on_step = partial(report_step, problem, state, name, treatment)
-    result = minimise(cost, state.vector, stage.stopping, on_step, problem.should_stop)
+    x0 = None if state.result is None else state.result.continue_in(segments)
+    result = minimise(cost, state.vector, stage.stopping, on_step, problem.should_stop, x0)
     values = state.space.to_values_in_range(result.vector)
     problem.listener.on_stage(
         StageResult(name, treatment, result.iterations, result.cost, result.status, values)
