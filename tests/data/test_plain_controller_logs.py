@@ -103,3 +103,63 @@ def test_speeds_of_one_machine_are_in_one_unit(tmp_path):
     header = "time,leftSpeed,leftCommand,rightSpeed,rightCommand"
     draft = drafted(tmp_path, rows, header)
     assert [c.unit for c in draft.choice.coordinates] == ["rpm", "rpm"]
+
+
+def test_a_clock_may_be_late_at_times_and_slower_at_first(tmp_path):
+    late = np.where(RNG.random(200) < 0.1, 0.05, 0.006)
+    t = np.cumsum(np.where(np.arange(200) < 20, 0.5, 1.0) * late * RNG.uniform(0.85, 1.15, 200))
+    q = np.sin(4 * t)
+    draft = drafted(tmp_path, np.column_stack([np.full(200, 60), t, 4 * np.cos(4 * t), q]))
+    assert draft.clock.column == "column 2"
+    assert roles(draft)["column 4"] == "position"
+
+
+def test_what_steps_back_a_little_is_no_clock(tmp_path):
+    k = np.arange(250)
+    way = np.round(2.5 * k * np.minimum(1, k / 60)) - 8.0 * (k == 130)
+    found = roles(drafted(tmp_path, np.column_stack([k, np.where(k > 0, 64, 0), way])))
+    assert found == {"column 1": "counter", "column 2": "input", "column 3": "position"}
+
+
+def test_times_that_repeat_say_the_usual_period(tmp_path):
+    t = np.concatenate([0.04 + 0.002 * (np.arange(26) // 3), 0.06 + 0.005 * np.arange(140)])
+    rows = np.column_stack([t.round(3), 20 + 5 * np.sin(5 * t), 100 * np.cos(3 * t)])
+    draft = drafted(tmp_path, rows, "time,angle,pwm")
+    assert (draft.clock.column, draft.dt) == (None, 0.005)
+    assert "repeat" in draft.text
+
+
+def test_names_say_which_column_is_the_error(tmp_path):
+    """A record that ends before the error is small."""
+    t = 0.002 * np.arange(150)
+    u = 5 * np.sign(np.sin(20 * t)) + RNG.normal(0, 0.1, 150)
+    v = np.convolve(u, np.exp(-0.05 * np.arange(150)))[:150] * 10
+    q = np.cumsum(v) * 0.002
+    rows = np.column_stack([t, q, v, 180 - q, u])
+    found = roles(drafted(tmp_path, rows, "Time,Position,Velocity,Position Error,Torque"))
+    assert found["Position"] == "position"
+    assert found["Position Error"] == "other"
+
+
+def test_one_sensor_in_volts_and_in_millimetres_is_no_input(tmp_path):
+    t = 0.01 * np.arange(300)
+    force = 100 * np.sign(np.sin(3 * t)) + RNG.normal(0, 5, 300)
+    place = 20 + np.cumsum(np.cumsum(force)) * 1e-4
+    volts = (place / 13.5 + RNG.normal(0, 0.002, 300)).round(3)
+    rows = np.column_stack([t, volts, place, force])
+    found = roles(drafted(tmp_path, rows, "t,Laser (in V),Laser (in mm),Force (in N)"))
+    assert [found[n] for n in ("Laser (in mm)", "Laser (in V)")] == ["position", "other"]
+    assert found["Force (in N)"] == "input"
+
+
+def test_joints_at_rest_are_none_of_the_motion(tmp_path):
+    """Their encoders flicker, and so do their velocities."""
+    t = 0.01 * np.arange(300)
+    names = [f"ODrive {k} {what}" for what in ("Position", "Velocity", "Current") for k in range(3)]
+    noise = RNG.normal(0, 1e-4, (300, 9))
+    u = np.sign(np.sin(2 * t))
+    v = np.convolve(u, 0.05 * np.exp(-0.05 * np.arange(300)))[:300]
+    noise[:, [1, 4, 7]] += np.column_stack([np.cumsum(v) * 0.01, 0 * v, u])
+    found = roles(drafted(tmp_path, np.column_stack([t, noise]), ",".join(["time", *names])))
+    assert {n for n, role in found.items() if role == "position"} == {"ODrive 1 Position"}
+    assert {n for n, role in found.items() if role == "input"} == {"ODrive 1 Current"}

@@ -313,7 +313,7 @@ def _follows_step(view: RecordView, rows: Int[np.ndarray, " jumps"]) -> Bool[np.
         return np.zeros(len(rows), bool)
     usual = np.maximum(np.quantile(change, 0.9, axis=0), 1e-300)
     is_step = np.any(change > LEVELS.step * usual, axis=1)
-    return np.any(is_step[np.maximum(rows[:, None] - [1, 2, 3], 0)], axis=1)
+    return np.any(is_step[np.maximum(rows[:, None] - [0, 1, 2, 3], 0)], axis=1)
 
 
 def encoder(view: RecordView) -> Iterator[Finding]:

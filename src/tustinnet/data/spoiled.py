@@ -22,6 +22,7 @@ from tustinnet.signals.transients import is_slow, rest_thresholds
 Cause = Literal["unlogged force", "other conditions", "friction", "unstable phase"]
 
 KEY = "spoiled"  # in headers and summaries
+_REACH = 2  # samples ahead of one of which its derived velocity knows
 FEWEST_SAMPLES = 50  # samples of a part of a record that is worth keeping
 
 
@@ -202,7 +203,7 @@ def _moved_by_hand(e: Experiment) -> list[SpoiledPart]:
         if not long:
             continue
         r, s = long[0]
-        after = np.flatnonzero(is_moving[s:b])
+        after = np.flatnonzero(is_moving[s : max(s, b - _REACH)])
         if not len(after):
             continue
         is_release = r == 0 and np.any(np.abs(e.q[r] - thresholds.resting) > thresholds.excursion)

@@ -544,6 +544,8 @@ def _numbered_names(comments: Sequence[str], width: int) -> list[str] | None:
     # what says that it is of a column, else of other numbers, as of chapters
     for match in [m for m in matches if m[1]] or matches:
         numbers = [int(number) for number in re.findall(r"\d+", match[2])]
+        if names.keys() & {*numbers}:  # items of several lists
+            return None
         names |= {n: f"{match[3]} {n}" if len(numbers) > 1 else match[3] for n in numbers}
     first = 0 if 0 in names else 1
     return labels_of_columns({n - first + 1: name for n, name in names.items()}, width)

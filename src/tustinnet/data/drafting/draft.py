@@ -50,6 +50,7 @@ from tustinnet.wording import counted
 
 _USUAL_PERIOD = 0.01  # s, assumed where nothing says it
 _FEWEST_SAMPLES = 6  # samples of a record
+_AT_REST = 0.05  # of the largest travel of its kind: less is the noise of a joint that rests
 PERIOD = "period"
 ANSWERED = ("role", "unit", "counts", "resolution")  # before the column in an answer's key
 _PLAIN_FOLDERS = {"", "logs", "log", "data", "daten", "messungen", "records", "csv", "raw"}
@@ -474,7 +475,8 @@ def _judge(
     known: Mapping[str, Role],
 ) -> dict[str, Verdict]:
     """The roles of columns that are neither times nor counters, some of which are known."""
-    moving = {n: r for n, r in readings.items() if not numbers[n].constant}
+    resting = _find_resting(readings, numbers)
+    moving = {n: r for n, r in readings.items() if not numbers[n].constant and n not in resting}
     constant = Verdict("constant", ("it never changes",))
     if not moving:
         return dict.fromkeys(readings, constant)
@@ -495,7 +497,27 @@ def _judge(
             if name not in moving and numbers[name].distinct > 1 and is_input:
                 reason = "it never changes in a record, and differs between records"
                 verdicts[name] = Verdict("input", (reason,), "other", 0.0)
+    verdicts |= {n: Verdict("other", ("at rest, where others of its kind move",)) for n in resting}
     return {n: verdicts.get(n, constant) for n in readings}
+
+
+def _find_resting(readings: Mapping[str, NameReading], numbers: Mapping[str, Numbers]) -> set[str]:
+    """The columns of joints that rest while others of their kind move, by names and numbers.
+
+    Their positions do not change, or no more than by noise; velocities and currents flicker.
+    """
+    kinds: dict[tuple[str, ...], list[str]] = {}
+    for name, reading in readings.items():
+        is_place = reading.quantity == "position" and reading.qualifier != "command"
+        if is_place and reading.object and numbers[name].range:
+            words = tuple(w for w in reading.words if not w.isdigit())
+            kinds.setdefault((*words, reading.unit), []).append(name)
+    resting: set[frozenset[str]] = set()
+    for names in kinds.values():
+        spans = {n: float(np.ptp(numbers[n].range or 0.0)) for n in names}
+        still = [n for n in names if spans[n] < _AT_REST * max(spans.values())]
+        resting |= {readings[n].object for n in still if numbers[n].is_white or numbers[n].constant}
+    return {n for n, r in readings.items() if r.object in resting}
 
 
 def _fill(values: Values) -> Values:

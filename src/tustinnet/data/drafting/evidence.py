@@ -16,6 +16,7 @@ from tustinnet.data.drafting.relations import (
     Pairs,
     Slopes,
     Table,
+    find_alike,
     find_causes,
     find_copies,
     find_distances,
@@ -315,7 +316,11 @@ class EvidenceTable:
         # a set point is not what follows it
         kinds = [(r.quantity, r.qualifier == "command") for r in self.readings]
         are_alike = [[a == b and a[0] in ("position", "velocity") for a in kinds] for b in kinds]
-        self.is_copy = (factors != 0) | (find_other_units(records) & are_alike)
+        # one sensor in volts and in millimetres
+        words = [(r.words if "position" in r.quantities else (), r.unit) for r in self.readings]
+        are_one = [[bool(a[0]) and a[0] == b[0] and a[1] != b[1] for a in words] for b in words]
+        is_other_unit = (find_other_units(records) & are_alike) | (find_alike(records) & are_one)
+        self.is_copy = (factors != 0) | is_other_unit
         self.slope = _slope_points(slopes, self.readings)
         self.slope[factors != 0] = -WEIGHTS.no_slope  # what repeats a column is not its rate
         self.blocks = find_blocks(self.names, self.slope, factors != 0)
@@ -411,8 +416,8 @@ class EvidenceTable:
     ) -> None:
         """Evidence on control errors, on what is controlled, and on its set point.
 
-        Of two columns the error is the one that a controller makes small. Of three positions, of
-        which none is named a set point, the last is one too many.
+        Of two columns the error is the one that is named so, or that a controller makes small. Of
+        three positions, of which none is named a set point, the last is one too many.
         """
         w, readings = WEIGHTS, enumerate(self.readings)
         ends = np.concatenate([record[3 * len(record) // 4 :] for record in records])
@@ -432,7 +437,10 @@ class EvidenceTable:
                     text = "the sum or difference of two other positions"
                     self.own[max(three)].append(Evidence("other", w.derived, text))
                 continue
-            if size[error] > w.small * size[controlled] or self.is_silent[controlled]:
+            names = [self.readings[i].quantity for i in (error, controlled)]
+            is_small = size[error] <= w.small * size[controlled]
+            is_error = names[1] != "error" and (names[0] == "error" or is_small)
+            if not is_error or self.is_silent[controlled]:
                 continue
             text = f"'{self.names[controlled]}' and it add up to a set point: a control error"
             self.own[error].append(Evidence("other", w.useless, text))
@@ -588,7 +596,7 @@ def find_families(
     Args:
         readings: the meaning of the names.
         are_apart: which columns are derivatives or sums of one another. A family of such columns
-            is none, and none is one to which all columns belong.
+            is none, and none but of positions is one to which all columns belong.
         is_multiple: which inputs repeat one another; the later one is of no family.
     """
     known = {w for words in (STRONG, WEAK, QUALIFIERS) for ws in words.values() for w in ws}
@@ -609,7 +617,9 @@ def find_families(
         groups.setdefault(key, []).append(i)
     families = [*range(len(readings))]
     for members in groups.values():
-        if len(members) < len(readings) and not are_apart[np.ix_(members, members)].any():
+        are_all = len(members) == len(readings)
+        is_motion = all(readings[i].quantity == "position" for i in members)
+        if (is_motion or not are_all) and not are_apart[np.ix_(members, members)].any():
             for k, i in enumerate(members):
                 if not is_multiple[i, members[:k]].any():
                     families[i] = members[0]

@@ -20,6 +20,7 @@ from tustinnet.data.readers import is_text, read_columns
 from tustinnet.data.text_file import DAMAGED_ROWS, NO_HEADER
 from tustinnet.data.units import TIME
 from tustinnet.errors import InputError
+from tustinnet.signals.outliers import TO_DEVIATION
 from tustinnet.wording import counted
 
 _MOST_COLUMNS = 60  # that are examined
@@ -43,8 +44,8 @@ class ClockLevels(NamedTuple):
         regular: relative deviation of the intervals of a clock that has another name.
         jitter: relative deviation of intervals, from which on it says something of their
             kind.
-        slow: root mean square of steps of intervals over their deviation; of jitter it is
-            the root of 2.
+        slow: usual step of intervals over their usual deviation; of jitter it is the root of 2.
+        rest: share of the usual interval, below which a twentieth of the steps of a motion is.
         round: relative; a period this near to one of two digits is that.
         near: share of the intervals, without which the longer ones are no gaps.
         gap: longest interval within a record [periods].
@@ -53,7 +54,8 @@ class ClockLevels(NamedTuple):
 
     regular: float = 0.5
     jitter: float = 1e-3
-    slow: float = 0.7
+    slow: float = 0.5
+    rest: float = 0.25
     round: float = 5e-4
     near: float = 0.95
     gap: float = 10.0
@@ -495,25 +497,25 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
         if intervals is None:
             is_first &= not any(map(np.ptp, columns))
             continue
-        usual = _without_gaps(intervals, np.median(intervals))
-        spread = float(np.std(usual) / np.mean(usual))
+        relative = np.concatenate([x / np.median(x) for x in map(_rises, columns) if len(x)])
+        spread = TO_DEVIATION * float(np.median(np.abs(relative - 1)))
         weight = reading.quantities.get("time", 0.0)
         if reading.quantity == "counter" or (
-            weight == 0 and spread < 1e-9 and intervals[0] == 1 and (columns[0][0] in (0, 1))
+            weight == 0 and (intervals == 1).all() and columns[0][0] in (0, 1)
         ):
             others[name] = "counts the samples"
             continue
         is_likely = is_first or name.startswith(NUMBERED)
         most = CLOCK.regular if is_likely else CLOCK.jitter
-        is_irregular = spread > most or _change_slowly(intervals)
+        is_irregular = spread > most or _change_slowly(relative) or _steps_back(columns)
         if weight == 0 and (is_irregular or _speaks_of_motion(reading)):
             is_first = False
             continue
-        # of two clocks the regular one; of two regular ones that which begins near 0, and none
+        # of two clocks the first or regular one; else that which begins near 0, and none
         # before another one that may only count the samples
         begins_late = abs(columns[0][0]) > 1e8
-        may_count = weight == 0 and spread < 1e-9 and intervals[0] == 1
-        points = weight - 2 * min(spread, 1.0) - 0.1 * begins_late - may_count
+        may_count = weight == 0 and bool((intervals == 1).all())
+        points = weight - 2 * min(spread, 1.0) - 0.1 * begins_late - may_count + 0.5 * is_first
         candidates.append((points, name))
     if not candidates:
         return _find_rounded_clock(logs, readings, others)
@@ -570,11 +572,17 @@ def _find_rounded_clock(
         largest = float(steps.max(initial=0.0))
         lines = [np.linspace(c[0], c[-1], len(c)) for c in columns]
         worst = max(np.abs(c - line).max() for c, line in zip(columns, lines, strict=True))
-        if not (steps >= 0).all() or not 0 < worst <= 2 * largest:
+        if not (steps >= 0).all() or not worst > 0:
             continue
         unit, _, sure = _time_unit(name, readings[name], columns)
-        dt = float(f"{np.mean(steps) * TIME[unit]:.4g}")
-        reason = "times of too few digits: their mean interval is the period"
+        interval, reason = np.mean(steps), "times of too few digits: their mean interval"
+        if worst > 2 * largest:
+            interval, reason = (
+                np.median(steps[steps > 0]),
+                "times that repeat: their usual interval",
+            )
+        dt = float(f"{interval * TIME[unit]:.4g}")
+        reason = f"{reason} is the period"
         return Clock(None, unit, "", dt, 0.0, sure, {**others, name: reason})
     return Clock(None, others=others)
 
@@ -597,11 +605,28 @@ def _intervals(columns: Sequence[Values]) -> Values | None:
     return steps[rising]
 
 
+def _rises(column: Values) -> Values:
+    """The steps by which a column rises."""
+    steps = np.diff(column)
+    return steps[steps > 0]
+
+
+def _steps_back(columns: Sequence[Values]) -> bool:
+    """Whether a column falls a little, as a motion does; a clock that starts again falls far."""
+    steps = np.concatenate([np.diff(column) for column in columns])
+    return bool(((steps < 0) & (steps > -CLOCK.gap * np.median(steps))).any())
+
+
 def _change_slowly(intervals: Values) -> bool:
-    """Whether intervals change as slowly as a motion does; those of a clock jitter."""
-    steps, spread = np.diff(intervals), float(np.std(intervals))
-    varies = spread > CLOCK.jitter * float(np.mean(intervals))
-    return bool(varies and np.sqrt(np.mean(steps**2)) < CLOCK.slow * spread)
+    """Whether intervals change as slowly as a motion does, or nearly rest; those of a clock jitter.
+
+    Medians, as a clock may be late at times, and have other intervals at first.
+    """
+    usual = float(np.median(intervals))
+    spread = float(np.median(np.abs(intervals - usual)))
+    varies = spread > CLOCK.jitter * usual
+    is_slow = varies and np.median(np.abs(np.diff(intervals))) < CLOCK.slow * spread
+    return bool(is_slow) or float(np.quantile(intervals, 0.05)) < CLOCK.rest * usual
 
 
 def _without_gaps(intervals: Values, period: float) -> Values:

@@ -215,6 +215,12 @@ def find_copies(
     return np.where(is_copy & is_copy.T & ~np.eye(len(squares), dtype=bool), slope, 0.0)
 
 
+@np.errstate(all="ignore")  # constants are like nothing
+def find_alike(records: Sequence[Table]) -> Bool[np.ndarray, "c c"]:
+    """Marks pairs of columns that rise and fall together."""
+    return np.atleast_2d(np.corrcoef(np.concatenate(records).T)) > RELATION.one
+
+
 @np.errstate(all="ignore")  # constants repeat nothing
 def find_other_units(records: Sequence[Table]) -> Bool[np.ndarray, "c c"]:
     """Marks pairs of columns that are one angle or its rate in two units, as two filters see it.
@@ -226,7 +232,7 @@ def find_other_units(records: Sequence[Table]) -> Bool[np.ndarray, "c c"]:
     ratios = table.std(axis=0) / table.std(axis=0)[:, None]
     units = [a / b for a, b in permutations(ANGLE.values(), 2)]
     is_unit = np.any([np.abs(ratios / unit - 1) < RELATION.sum for unit in units], axis=0)
-    return is_unit & (np.atleast_2d(np.corrcoef(table.T)) > RELATION.one)
+    return is_unit & find_alike(records)
 
 
 @np.errstate(all="ignore")  # of what stands still

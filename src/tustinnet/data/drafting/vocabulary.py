@@ -145,7 +145,7 @@ pressure:bar:
 pressure:Pa:
 pressure:psi:
 time:s:sec secs second seconds sek sekunden
-time:ms:msec millis milliseconds millisekunden
+time:ms:msec millis millisec millisecs millisecond milliseconds millisekunden
 time:us:usec micros microseconds mikrosekunden µs μs
 time:ns:nsec nsecs nanos nanoseconds nanosekunden
 other:degC:°c c celsius
