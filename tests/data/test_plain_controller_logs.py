@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import tustinnet as tn
 from tustinnet.data.drafting.draft import Draft, draft_card
 from tustinnet.data.drafting.files import list_logs
 from tustinnet.data.readers import read_columns
@@ -163,3 +164,22 @@ def test_joints_at_rest_are_none_of_the_motion(tmp_path):
     found = roles(drafted(tmp_path, np.column_stack([t, noise]), ",".join(["time", *names])))
     assert {n for n, role in found.items() if role == "position"} == {"ODrive 1 Position"}
     assert {n for n, role in found.items() if role == "input"} == {"ODrive 1 Current"}
+
+
+def test_files_of_as_many_rows_are_one_table(tmp_path):
+    """Times, a block of joints with their velocities, and torques, each in a file of its own."""
+    t = 0.004 * np.arange(400)
+    u = RNG.normal(0, 1, (3, 400)).cumsum(axis=1) * 0.1
+    v = np.array([np.convolve(x, 0.004 * 20 * np.exp(-0.02 * np.arange(400)))[:400] for x in u])
+    q = np.cumsum(v, axis=1) * 0.004
+    for name, columns in {"time": [t], "states": [*q, *v], "input": u}.items():
+        rows = np.column_stack([*columns])
+        np.savetxt(tmp_path / f"{name}.csv", rows, fmt="%.7g", delimiter=",")
+    draft = draft_card(*list_logs([tmp_path]))
+    assert draft.clock.column == "time/column 1"
+    found = roles(draft)
+    assert [found[f"column {k}"] for k in range(1, 7)] == ["position"] * 3 + ["velocity"] * 3
+    assert {found[f"input/column {k}"] for k in (1, 2, 3)} == {"input"}
+    (tmp_path / "dataset.toml").write_text(draft.text)
+    (record,) = tn.load(tmp_path)
+    assert (record.dt, len(record)) == (pytest.approx(0.004), 400)

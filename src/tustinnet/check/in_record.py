@@ -345,20 +345,29 @@ def encoder(view: RecordView) -> Iterator[Finding]:
 
 
 def velocities(view: RecordView) -> Iterator[Finding]:
-    """Velocity columns with rows of zeros or outliers, or that are not the slope of positions."""
-    e = view.experiment
-    if e.v is None:
+    """Velocity columns with rows of zeros or outliers, or that are not the slope of positions.
+
+    Of columns that no fit uses only what says that columns are others than the card has them.
+    """
+    if view.experiment.v is None:
         return
+    for finding in _velocity_findings(view):
+        if view.experiment.v_measured or finding.severity != "note":
+            yield finding
+
+
+def _velocity_findings(view: RecordView) -> Iterator[Finding]:
+    """All findings about velocity columns, those that no fit uses a degree milder."""
+    e = view.experiment
+    assert e.v is not None
     lead, trail = e.padded_rows
     if lead or trail:
-        is_used = e.v_measured
         yield view.finding(
             "padded velocity",
-            "`measured = false` in `velocity` of all coordinates" if is_used else "none is needed",
-            severity="warning" if is_used else "note",
+            "`measured = false` in `velocity` of all coordinates",
+            severity="warning" if e.v_measured else "note",
             first=lead,
             last=trail,
-            is_used=is_used,
         )
     q, v = e.q[lead : len(e) - trail], e.v[lead : len(e) - trail].copy()
     if len(q) < LEVELS.fewest_velocities:

@@ -67,8 +67,8 @@ CHECK = {
     ),
     "padded velocity": warning(
         "velocity columns are padded with zero rows",
-        size="{first} at the beginning, {last} at the end, in which the positions move"
-        "[[{is_used}, so that all velocities are taken from the positions]]",
+        size="{first} at the beginning, {last} at the end, in which the positions move, "
+        "so that all velocities are taken from the positions",
     ),
     "velocity": warning(
         "{channel}: the velocity column {relation} the change of the positions", size="{how}"

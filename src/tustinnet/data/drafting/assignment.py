@@ -81,7 +81,8 @@ class _Prices:
         is_said = np.outer(positions, positions) | are_of_block
         # a stiff machine moves as one, and motor and load are two positions nevertheless
         share = np.where(is_said & np.outer(plain, plain), 0.25, 1.0)
-        rates = np.maximum(0.0, np.maximum(t.slope, t.slope.T))
+        # joints of a block are of one kind: none is the rate of another one
+        rates = np.where(are_of_block, 0.0, np.maximum(0.0, np.maximum(t.slope, t.slope.T)))
         self.positions = rates + share * t.repeats
         self.velocities = np.where(are_of_block, 0.25, 1.0) * t.repeats
         # the rate of a base's motion is neither another input nor a motion of the machine

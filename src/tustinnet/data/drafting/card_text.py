@@ -103,7 +103,12 @@ def _key_of(has_header: bool | None, numbers: Mapping[str, int]) -> Callable[[st
     """The key of a column in a card: its number where no file has names, or only some have."""
     if numbers:
         return lambda column: str(numbers[column])
-    return quote if has_header is None else lambda column: column.removeprefix(NUMBERED)
+    # those of joined files are called `label/column 1`
+    return lambda column: (
+        column.removeprefix(NUMBERED)
+        if has_header is not None and column.startswith(NUMBERED)
+        else quote(column)
+    )
 
 
 def _coordinate(c: CoordinateChoice, key: Callable[[str], str]) -> list[str]:

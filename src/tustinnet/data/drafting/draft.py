@@ -245,7 +245,7 @@ def draft_examined(
     if not examination.period_reason:
         text = "sampling period [s]; no column of times was found"
         questions.insert(0, Question(PERIOD, text, str(clock.dt), is_number=True))
-    logs = [_without_unused_files(log, choice) for log in examination.logs]
+    logs = [_without_unused_files(log, clock, choice) for log in examination.logs]
     trimmed = _trim_logs(logs, choice, notes.append)
     found = find_pieces(trimmed, clock, findings.readings, notes.append)
     usable = _usable_pieces(found, choice, notes.append)
@@ -394,9 +394,9 @@ def _only_period(periods: set[float | None]) -> float | None:
     return period if is_possible and not others else None
 
 
-def _without_unused_files(log: Log, choice: Choice) -> Log:
+def _without_unused_files(log: Log, clock: Clock, choice: Choice) -> Log:
     """A log without other files of its record of which the card uses no column."""
-    used = [*choice.motion, *(i.column for i in choice.inputs)]
+    used = [clock.column or "", *choice.motion, *(i.column for i in choice.inputs)]
     return replace(
         log,
         joined={

@@ -38,20 +38,26 @@ def join_logs(logs: Sequence[Log], on_message: Callable[[str], None]) -> list[Lo
     """Logs in which files that are parts of one record are one.
 
     Files with a position and no input are joined with those of another kind that have inputs or
-    further positions, where names pair them and their times overlap.
+    further positions, where names pair them and their times overlap; so are files of as many rows
+    whose columns have no names.
 
     Args:
         logs: the logs of all files.
         on_message: called with a sentence on files that are joined, or why they are not.
     """
     kinds = _find_kinds(logs)
-    first = max(kinds, key=_position_weight, default=None)
-    if first is None or len(kinds) < 2 or _position_weight(first) < _SAYS or _has_input(first):
+    are_parts = _are_side_by_side(kinds)
+    if are_parts:  # row by row, whatever rises in them
+        kinds = [kind._replace(clock=Clock(None)) for kind in kinds]
+    first = max(kinds, key=_width if are_parts else _position_weight, default=None)
+    is_of_positions = first is not None and _position_weight(first) >= _SAYS
+    if first is None or len(kinds) < 2 or not (are_parts or is_of_positions) or _has_input(first):
         return [*logs]
     joined: dict[Key, Log] = dict(first.logs)
     used: set[str] = set()
     for other in kinds:
-        if other is first or not (_has_input(other) or _position_weight(other) >= _SAYS):
+        is_said = _has_input(other) or _position_weight(other) >= _SAYS
+        if other is first or not (is_said or are_parts):
             continue
         label = "_".join(sorted(other.words - first.words)) or "other"
         pairs = {
@@ -80,6 +86,23 @@ def join_logs(logs: Sequence[Log], on_message: Callable[[str], None]) -> list[Lo
         )
     in_place = {log.file: log for log in joined.values()}
     return [in_place.get(log.file, log) for log in logs if log.file not in used]
+
+
+def _width(kind: _Kind) -> int:
+    """The number of columns of files of a kind."""
+    return len(next(iter(kind.logs.values())).values)
+
+
+def _are_side_by_side(kinds: Sequence[_Kind]) -> bool:
+    """Whether files without names of columns are parts of tables: of every record as many rows."""
+    keys = {frozenset(kind.logs) for kind in kinds}
+    if len(keys) != 1 or len({*map(_width, kinds)}) < 2:
+        return False
+    return all(
+        len({len(kind.logs[key]) for kind in kinds}) == 1
+        and all(kind.logs[key].has_header is False for kind in kinds)
+        for key in next(iter(keys))
+    )
 
 
 def _find_kinds(logs: Sequence[Log]) -> list[_Kind]:

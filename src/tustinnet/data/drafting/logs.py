@@ -521,7 +521,12 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
         return _find_rounded_clock(logs, readings, others)
     # the first of equal ones
     best = max(candidates, key=lambda candidate: round(candidate[0], 3))[1]
-    others |= {name: "rises as a clock does" for _, name in candidates if name != best}
+    others |= {
+        name: "rises as a clock does"
+        for _, name in candidates
+        # beside a named clock, as of a file of times, what has no name may be a motion
+        if name != best and (best.startswith(NUMBERED) or not name.startswith(NUMBERED))
+    }
     times = [log.values[best] for log in logs]
     others |= {
         name: "the same times"
