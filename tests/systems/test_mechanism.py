@@ -6,11 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from swinging import CART, noises, records
+from swinging import CART, data_set, noises, records
 
 import tustinnet as tn
-from tustinnet.fitting.recipe import IdentificationRecipe
-from tustinnet.fitting.task import begin_with
+from tustinnet.fits.fit import fit_request
+from tustinnet.fits.request import FitRequest
+from tustinnet.fitting.listener import SILENT
+from tustinnet.fitting.shooting.added_forces import with_added
+from tustinnet.fitting.task import Origin
+from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import Parameter
 from tustinnet.systems.mechanism import MECHANISM
 
@@ -211,15 +215,22 @@ def test_two_wheels_on_a_shaft_may_be_elastic_and_a_ball_rolls_down_a_beam():
 
 
 def test_a_fit_begins_within_the_ranges_of_its_own_records():
-    wide, narrow = MECHANISM.for_records(noises()), [replace(e, u=50 * e.u) for e in noises()]
-    (gain,) = [p for p in wide.parameters if p.name == "angle.by_voltage"]
-    values = {p.name: jnp.asarray(p.nominal) for p in wide.parameters}
-    origin = tn.discretise(wide.model(values | {gain.name: jnp.asarray(gain.upper)}), 0.02)
-    begun = begin_with(tn.read_recipe("mechanism"), origin, MECHANISM, narrow)
-    assert isinstance(begun, IdentificationRecipe)
-    upper = MECHANISM.for_records(narrow).parameter(gain.name).upper
-    assert upper < gain.upper
-    assert begun.model.begin[gain.name] == upper
+    """Those of forces, too, as the stiffness of stops, which follow from speed and travel."""
+    slow = [replace(e, q=np.interp(e.t / 2, e.t, e.q[:, 0])[:, None], v=None) for e in noises()]
+    slow = [replace(e, v_measured=False) for e in slow]
+    wide, narrow = (
+        with_added(MECHANISM.for_records(r), ("end_stops",), r, {}) for r in (noises(), slow)
+    )
+    stiffness = "angle.stop_stiffness"
+    least = narrow.parameter(stiffness).lower
+    assert least < wide.parameter(stiffness).lower
+    values = {p.name: jnp.asarray(p.nominal) for p in narrow.parameters}
+    values[stiffness] = jnp.asarray(least)
+    origin = Origin(tn.discretise(narrow.model(values), 0.02))
+    recipe = tn.read_recipe("mechanism + end_stops", "search.iterations=1")
+    request = FitRequest(data_set([*noises()]), recipe, system=MECHANISM, origin=origin)
+    (result,) = fit_request(request, SILENT)
+    assert isinstance(result.model, Discretised)
 
 
 def test_it_is_no_system_to_give_beside_a_model():

@@ -69,8 +69,10 @@ def identify_task(task: Task, member: Member, listener: Listener) -> FitResult:
     require_float64("identify")
     start_time = time.perf_counter()
     problem = _make_problem(task, member, listener)
-    initial_state = _make_initial_state(problem, task.identification_recipe)
     origin = task.folds[member.fold].origin
+    initial_state = _make_initial_state(
+        problem, task.identification_recipe, has_origin=origin is not None
+    )
     if origin is not None and origin.fits_records:
         initial_state = replace(initial_state, has_fitted_values=True)
     if problem.search.is_by_forces:
@@ -190,8 +192,12 @@ def _require_no_delay_in_loop(names: Sequence[str], channels: Channels) -> None:
             )
 
 
-def _make_initial_state(problem: Problem, recipe: IdentificationRecipe) -> SearchState:
+def _make_initial_state(
+    problem: Problem, recipe: IdentificationRecipe, *, has_origin: bool
+) -> SearchState:
     """The state before the first stage: the search space and the initial values of the recipe.
+
+    Those of an origin, which other records may have given, are brought into the ranges of these.
 
     Raises:
         InputError: a value outside its range, or with which the records cannot be simulated.
@@ -200,6 +206,9 @@ def _make_initial_state(problem: Problem, recipe: IdentificationRecipe) -> Searc
     system, parameters = problem.system, problem.parameters
     nominal = {p.name: p.nominal for p in parameters}
     initial_values = expand_values(system, parameters, recipe.model.begin)
+    if has_origin:
+        ranges = {p.name: (p.lower, p.upper) for p in parameters}
+        initial_values = {n: float(np.clip(x, *ranges[n])) for n, x in initial_values.items()}
     fixed_values = {
         name: nominal[name] if isinstance(x, str) else x
         for name, x in expand_values(system, parameters, recipe.model.fixed).items()

@@ -5,8 +5,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
@@ -206,19 +204,8 @@ def begin_with(
     Raises:
         InputError: a model of another kind.
     """
-    if not isinstance(system, SystemTemplate):
-        return recipe.from_model(model, system)
-    system = system.for_records(list(records))
-    recipe = recipe.from_model(model, system)
-    if not isinstance(recipe, IdentificationRecipe):
-        return recipe
-    # the ranges that follow from these records may leave out what others gave
-    ranges = {p.name: (p.lower, p.upper) for p in system.parameters}
-    begin = {
-        name: float(np.clip(x, *ranges[name])) if name in ranges else x
-        for name, x in recipe.model.begin.items()
-    }
-    return recipe.with_begin(begin)
+    is_made = isinstance(system, SystemTemplate)
+    return recipe.from_model(model, system.for_records(list(records)) if is_made else system)
 
 
 def _require_members(members: Sequence[Member], recipe: Recipe) -> None:
