@@ -22,13 +22,17 @@ IDENTIFICATION = {
         "stalled: no step lowers the cost though the gradient is not zero",
         "start from other values, or look for a jump in the energies or forces",
     ),
+    "slow": warning(
+        "ended: ten steps together lowered the cost by less than its tolerance",
+        "the records hardly tell some parameters, or the model lacks much: see the residuals",
+    ),
     "limit of iterations": warning(
         "stopped at the limit of {iterations:iteration} while still falling",
         "allow more (search.iterations), or start from other values",
     ),
     "limit of iterations lost": warning(
-        "stopped at the limit of {iterations:iteration} while still falling; the simulations of "
-        "{records} miss by more than the records vary",
+        "not converged after {iterations:iteration}; the simulations of {records} miss by more "
+        "than the records vary",
         "compare them over less than {seconds:.2g} s at once (search.horizon={shorter:.2g}), or "
         "leave them out",
     ),

@@ -111,7 +111,7 @@ def test_the_limit_of_iterations_names_the_records_that_are_not_followed():
         second, q=np.random.default_rng(0).normal(size=(200, 1)), v=None, v_measured=False
     )
     stopped = tn.identify(data_set([first, lost]), SWING, grey("iterations=1", "tolerance=1e-12"))
-    assert "stopped at the limit of 1 iteration " in stopped.outcome
+    assert "not converged after 1 iteration" in stopped.outcome
     assert "the simulations of fall2 miss by more than the records vary" in stopped.outcome
     assert "search.horizon=2" in stopped.outcome
     mild = tn.identify(data_set(records()), SWING, grey("iterations=1", "tolerance=1e-300"))

@@ -51,7 +51,8 @@ def describe_outcome(
     # where records are not followed at all, shorter segments help
     lost = [e for e in records if rmse[e.name] > np.sqrt(np.sum(e.q.var(axis=0)))]
     if not lost:
-        return make_finding("limit of iterations", iterations=iterations)
+        code = "slow" if status == "slow" else "limit of iterations"
+        return make_finding(code, iterations=iterations)
     span = min(horizons.get(e.name, (len(e) - 1) * e.dt) for e in lost)
     return make_finding(
         "limit of iterations lost",

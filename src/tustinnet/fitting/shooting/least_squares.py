@@ -129,7 +129,7 @@ class LeastSquaresResult:
         products: the products there.
         cost: the sum of squares there, prior included; infinite where it diverged.
         iterations: accepted steps.
-        status: `converged`, `stalled`, `limit`, `stopped`, or `diverged` where the first
+        status: `converged`, `stalled`, `slow`, `limit`, `stopped`, or `diverged` where the first
             simulation did.
     """
 
@@ -214,6 +214,7 @@ def minimise(
                 number, point.cost, damping, is_accepted
             ),
             should_stop,
+            stopping.tolerance,
         )
         point, iterations, status = result.point, result.iterations, result.status
     return LeastSquaresResult(

@@ -11,6 +11,8 @@ from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
+_STEPS = 10  # accepted, that have to lower the cost noticeably
+
 
 @runtime_checkable
 class IterationPoint(Protocol):
@@ -51,8 +53,8 @@ class IterationResult(Generic[P]):
     Attributes:
         point: the last accepted point.
         iterations: accepted steps.
-        status: `converged`, `stalled` where no step lowers the cost, `limit` of iterations, or
-            `stopped`.
+        status: `converged`, `stalled` where no step lowers the cost, `slow` where ten lower it by
+            next to nothing, `limit` of iterations, or `stopped`.
     """
 
     point: P
@@ -68,6 +70,7 @@ def iterate(
     max_iterations: int,
     on_step: Callable[[int, P, float, bool], None],
     should_stop: Callable[[], bool],
+    least_decrease: float = 0.0,
 ) -> IterationResult[P]:
     """Takes damped steps until the iteration has converged, has stalled or reaches its limit.
 
@@ -81,7 +84,10 @@ def iterate(
         on_step: called after every step with the number of those that were accepted, the best
             point, the damping of the next step, and whether this one was accepted.
         should_stop: asked before every step.
+        least_decrease: share of the cost that ten accepted steps take off together; where they take
+            off less, the iteration is slow and ends.
     """
+    costs = [start.cost]
     point, previous_cost, damping, iterations = start, np.inf, damping_rule.initial, 0
     while iterations < max_iterations:
         if has_converged(point, previous_cost):
@@ -102,4 +108,7 @@ def iterate(
         iterations += 1
         damping = damping_rule.decreased(damping, gain_ratio)
         on_step(iterations, point, damping, True)
+        costs = [*costs[-_STEPS:], point.cost]
+        if len(costs) > _STEPS and costs[0] - point.cost < least_decrease * point.cost:
+            return IterationResult(point, iterations, "slow")
     return IterationResult(point, iterations, "limit")
