@@ -68,6 +68,7 @@ def stretched(factor: float) -> tn.DataSet:
 def test_a_training_goes_the_same_way_whatever_the_size_of_the_system(scaled):
     recipe = {
         "name": "sizes",
+        "start": "derived-6",
         "model": {"kind": "tustin-net", "hidden": [8]},
         "stages": [
             {

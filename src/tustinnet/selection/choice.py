@@ -290,7 +290,7 @@ class Choice(Shown):
         level = LEVEL * best.mean
         code = "not clearly better"
         if mean < 0:
-            code = "other better"
+            code = "other better" if count >= FEW else "other better few"
         elif mean > level and (count < FEW or mean > CLEAR * error):
             code = "clearly better" if count >= FEW else "not clearly better few"
         return make_finding(

@@ -145,7 +145,8 @@ def rank(results: Iterable[CandidateResult]) -> list[CandidateResult]:
     is what the others are compared with, each on the records that both have: one that was soon
     left does not take records away from the others. It comes before the best only where it is
     better by more than a standard error of the difference; on one or two records by several, or
-    less than a third as far off on each. Those before it are ranked among themselves by this rule.
+    less than a third as far off on each; and where none that was scored on more is better than it
+    on their shared records. Those before it are ranked among themselves by this rule.
     """
     scored = [r for r in results if r.fits_by_fold]
     most = max((len(r.fits_by_fold) for r in scored), default=0)
@@ -170,6 +171,9 @@ def rank(results: Iterable[CandidateResult]) -> list[CandidateResult]:
                 # the standard error of a single record is NaN, which comes last
                 doubt = 0.0 if is_plain else _DOUBT_OF_TWO * doubt
             value = means[best.name] + difference.mean + doubt
+            more = (r for r in scored if len(r.fits_by_fold) > len(result.fits_by_fold))
+            if any(paired_difference(result, r).mean > 0 for r in more):
+                value = max(value, np.nextafter(means[best.name], np.inf))
         return value if np.isfinite(value) else np.inf
 
     # of those that are all lost the one that is least far off

@@ -764,9 +764,7 @@ def _choose_hold(
         return next(iter(best))
     point, error, _ = tried.get(("zero-order", "delay"), best["zero-order"])
     if point[0] >= -max(TIMING.clear * error[0], TIMING.none):
-        top = min(best, key=lambda hold: best[hold].losses.sum())
-        is_clear = _is_better(best[top].losses, best["zero-order"].losses, rows, least)
-        return top if is_clear else "zero-order"
+        return _simplest_hold({h: hypothesis.losses for h, hypothesis in best.items()}, rows, least)
     # no input acts early: it is interpolated between samples, or logged late
     simple: list[DeclaredHold] = [
         hold
@@ -777,4 +775,12 @@ def _choose_hold(
     ]
     if not simple:
         return min(best, key=lambda hold: best[hold].losses.sum())
-    return min(simple, key=lambda hold: tried[hold, "none"].losses.sum())
+    return _simplest_hold({h: tried[h, "none"].losses for h in simple}, rows, least)
+
+
+def _simplest_hold(losses: Mapping[DeclaredHold, Array], rows: Array, least: float) -> DeclaredHold:
+    """The first of the holds, the plainest first, that is not clearly worse than the best."""
+    plain: tuple[DeclaredHold, ...] = ("zero-order", "first-order", "band-limited")
+    holds: list[DeclaredHold] = [hold for hold in plain if hold in losses]
+    top = min(holds, key=lambda hold: losses[hold].sum())
+    return next(h for h in holds if not _is_better(losses[top], losses[h], rows, least))

@@ -179,6 +179,10 @@ IDENTIFICATION = {
         "{start}: their mean RMSE went from {before:.3g} to {after:.3g}"
         "[[; {changes} changed most]]"
     ),
+    "refit not needed": note(
+        "free runs of the training records from {start} gain less than {share:.0%} by a refit: the "
+        "parameters are as identified"
+    ),
     "not refitted": note("no refit to free runs: {why}"),
     # --- of a controller in the loop ---
     "controller in loop": note(

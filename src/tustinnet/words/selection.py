@@ -61,9 +61,8 @@ SELECTION = {
     "not clearly better few": note(
         f"better than the next, {{other}}: {_DIFFERENCE}, too few to be sure"
     ),
-    "other better": note(
-        f"{{other}} is better {_DIFFERENCE}, not clearly, and was scored on no others"
-    ),
+    "other better": note(f"{{other}} is better {_DIFFERENCE}, not clearly"),
+    "other better few": note(f"{{other}} is better {_DIFFERENCE}, too few to choose it by"),
     "simplest": note(
         "simplest that is as good: {name}, {made} ({difference:+.2g}[[ ± {error:.2g}]] {unit}): "
         "{file}"

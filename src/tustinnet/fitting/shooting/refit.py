@@ -32,6 +32,7 @@ from tustinnet.simulate.start_rules import FirstSamples, Start
 from tustinnet.simulate.state_fits import fit_states_with_derivatives
 
 _COST_TOLERANCE = 1e-3  # converged: decrease by an iteration, of the cost
+_WORTH = 0.05  # of the mean RMSE of free runs: a smaller gain leaves parameters as identified
 _LARGE_CHANGE = 0.01  # of a parameter's value: a smaller one is not worth a word
 _PRIOR = 2.0  # cost of a parameter that doubles: the mean RMSE of so many records
 _WELL = 0.25  # of the mean RMSE: below it a record counts by its square
@@ -72,7 +73,7 @@ def refit_to_free_runs(problem: Problem, state: SearchState) -> RefitResult:
 
     Returns:
         The refitted parameters; none where the search was stopped or diverged, and where a refit
-        is not possible or is stopped, which `finding` says.
+        is not possible, is stopped or gains next to nothing, which `finding` says.
     """
     start = problem.refit_start
     if start is None or state.is_stopped or state.has_diverged:
@@ -94,6 +95,11 @@ def refit_to_free_runs(problem: Problem, state: SearchState) -> RefitResult:
         return RefitResult(
             state, finding=make_finding("not refitted", why=obstacle), is_stopped=is_stopped
         )
+
+    if refit.after > (1 - _WORTH) * refit.before:
+        # of short segments noise alone gives as much, and moves parameters out of their intervals
+        kept = make_finding("refit not needed", start=start.name, share=_WORTH)
+        return RefitResult(state, finding=kept)
 
     space, after = state.space, refit.values
     before = space.to_values_in_range(state.vector)

@@ -56,14 +56,14 @@ class SearchStage:
         initial_treatment: how initial states are treated, see `CutOptions`.
         stopping: when it ends.
         quarter_swings: length of the segments in quarters of a swing, None for whole records.
-        is_final: whether positions alone are compared. Velocities lead from values that are far
+        has_velocities: whether velocities are compared, too. They lead from values that are far
             off, but those that a stencil derives are too slow for fast motion.
     """
 
     initial_treatment: str
     stopping: StoppingRule
     quarter_swings: int | None = None
-    is_final: bool = False
+    has_velocities: bool = True
 
 
 def search(problem: Problem, state: SearchState) -> SearchState:
@@ -107,14 +107,15 @@ def search(problem: Problem, state: SearchState) -> SearchState:
 
     if treatment == "choose":
         treatment = "anchored"
-    if compares:
-        loose = run_stage(problem, state, SearchStage("unanchored", StoppingRule(1e-2, 15)))
-        if loose.is_stopped:
-            return loose
-        if score_validation(problem, loose) < score_validation(problem, state):
-            state, treatment = loose, "unanchored"
-        state = replace(state, finished_stages=loose.finished_stages)
     final = run_final_stage(problem, state, treatment)
+    if compares and not (final.is_stopped or final.has_diverged):
+        state = replace(state, finished_stages=final.finished_stages)
+        loose = run_final_stage(problem, state, "unanchored")
+        if loose.is_stopped:
+            return replace(final, is_stopped=True)
+        if score_validation(problem, loose) < score_validation(problem, final):
+            return loose
+        return replace(final, finished_stages=loose.finished_stages)
     if final.is_stopped or not final.has_diverged or state.has_diverged:
         return final
     state, stable, _ = _lengthen_segments(problem, state, stable)
@@ -198,7 +199,7 @@ def run_final_stage(problem: Problem, state: SearchState, initial_treatment: str
     """
     options = problem.search
     stopping = StoppingRule(options.tolerance, options.iterations)
-    stage = SearchStage(initial_treatment, stopping, is_final=True)
+    stage = SearchStage(initial_treatment, stopping, has_velocities=False)
     finished = state.finished_stages
     before, state = state, run_stage(problem, state, stage)
     for _ in range(20 if options.robust != "none" else 0):
@@ -258,7 +259,7 @@ def run_stage(problem: Problem, state: SearchState, stage: SearchStage) -> Searc
         return replace(state, is_stopped=True)
     steps = stage.quarter_swings and stage.quarter_swings * problem.motion.quarter_swing
     segments = problem.segments(steps, stage.initial_treatment, state.horizons)
-    if stage.is_final:
+    if not stage.has_velocities:
         segments = segments.without_velocities(problem.system.channels)
     if state.robust_weights is not None:
         weights = segments.weights * np.sqrt(np.tile(state.robust_weights, 2))
