@@ -154,3 +154,12 @@ def test_one_that_was_soon_left_is_the_best_only_beyond_doubt():
 def test_where_all_that_were_scored_on_most_folds_left_all_bounds_a_shorter_one_comes_first():
     a, short = standing("a", {"r": 1.0}, {"s": math.inf}), standing("short", {"r": 3.0})
     assert [s.name for s in rank([a, short])] == ["short", "a"]
+
+
+def test_a_candidate_of_few_records_is_not_first_where_others_are_better_on_these():
+    """All are better than the best on the first fold, and the one that has only this least so."""
+    best = standing("best", {"a": 0.054, "b": 0.051}, {"c": 0.034}, {"d": 0.052})
+    other = standing("other", {"a": 0.017, "b": 0.015}, {"c": 0.121})
+    few = standing("few", {"a": 0.046, "b": 0.041})
+    assert rank([few, other, best])[0] is best
+    assert rank([few, best])[0] is few  # clearly better on both, and nothing says otherwise
