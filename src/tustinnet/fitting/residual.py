@@ -53,10 +53,6 @@ class Residual:
             return error
         return jnp.where(np.array(self.periodic), 2 * jnp.sin(error / 2), error)
 
-    def of_positions(self, error: Float[np.ndarray, "n n_q"]) -> Float[np.ndarray, "n n_q"]:
-        """Residuals of errors of positions alone before they are divided by the units."""
-        return np.where(self.periodic[: error.shape[1]], 2 * np.sin(error / 2), error)
-
     @property
     def formula(self) -> engine.ResidualFormula:
         """The wrapped residual for simulations with derivatives, without units."""

@@ -304,8 +304,8 @@ def _examine(
     readings = read_names(logs)
     clock, period_reason = find_clock(logs, readings), "the mean time between samples"
     if clock.dt is None:
-        logs, said = _keep_usual_period(folder, logs, notes.append)
-        dt, period_reason = _find_period(folder, logs, said, answers, by_velocities)
+        logs, stated_period = _keep_usual_period(folder, logs, notes.append)
+        dt, period_reason = _find_period(folder, logs, stated_period, answers, by_velocities)
         clock = replace(clock, dt=dt)
     motion = [n for n in readings if n != clock.column and n not in clock.others]
     if not motion:
@@ -344,14 +344,14 @@ def _examine(
 def _find_period(
     folder: Path,
     logs: Sequence[Log],
-    said: float | None,
+    stated_period: float | None,
     answers: Mapping[str, str],
     by_velocities: tuple[float, str] | None,
 ) -> tuple[float, str]:
     """The sampling period [s] of files without times, and the reason; empty where it is assumed."""
     if PERIOD in answers:
         return float(answers[PERIOD]), "as you say"
-    if (period := _only_period({said})) is not None:
+    if (period := _only_period({stated_period})) is not None:
         return period, "by the sampling rate that the files say"
     if (by_text := period_beside(folder, {log.file for log in logs})) is not None:
         return by_text

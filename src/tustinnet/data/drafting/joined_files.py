@@ -56,8 +56,8 @@ def join_logs(logs: Sequence[Log], on_message: Callable[[str], None]) -> list[Lo
     joined: dict[Key, Log] = dict(first.logs)
     used: set[str] = set()
     for other in kinds:
-        is_said = _has_input(other) or _position_weight(other) >= _SAYS
-        if other is first or not (is_said or are_parts):
+        has_quantity = _has_input(other) or _position_weight(other) >= _SAYS
+        if other is first or not (has_quantity or are_parts):
             continue
         label = "_".join(sorted(other.words - first.words)) or "other"
         pairs = {

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import jax.numpy as jnp
 import numpy as np
 
 from tustinnet.errors import InputError
@@ -289,15 +290,16 @@ def run_stage(problem: Problem, state: SearchState, stage: SearchStage) -> Searc
     )
     if state.has_diverged:
         return state
-    counts = problem.records[0].channels.resolution
-    errors = np.zeros((len(segments.measurements), len(counts)))
+    channels = problem.system.channels
+    errors = np.zeros_like(segments.measurements)  # of positions, those of velocities do not count
     for k, error in enumerate(result.products.error):
-        errors[segments.rows(k)] = error
-    squares = problem.residual.of_positions(errors) ** 2 * segments.weights[:, : len(counts)] ** 2
+        errors[segments.rows(k), channels.position] = error
+    residuals = np.asarray(problem.residual.wrapped_residual(jnp.asarray(errors)))
+    variance = float(np.sum((residuals * segments.weights) ** 2)) / len(problem.records)
     weights = None
     if problem.search.robust != "none":
-        weights = robust_weights(problem.search.robust, errors, counts)
-    variance = float(squares.sum()) / len(problem.records)
+        counts = problem.records[0].channels.resolution
+        weights = robust_weights(problem.search.robust, errors[:, channels.position], counts)
     return replace(state, variance=variance, robust_weights=weights)
 
 
