@@ -140,3 +140,21 @@ def test_a_stiff_part_does_not_hide_an_unstable_one():
     assert alone is not None
     assert both is not None
     assert both == pytest.approx(alone, rel=0.1)
+
+
+FREE_MASS = tn.LagrangianSystem(
+    name="free mass",
+    coordinates=(tn.Coordinate("x", "linear"),),
+    inputs=(tn.Input("force", "N"),),
+    parameters=(tn.Parameter("mass", "kg", 1.0, 0.1, 10.0),),
+    kinetic=lambda q, v, p: p["mass"] * v[0] ** 2 / 2,
+    potential=lambda q, p: 0.0 * q[0],
+    dissipation=lambda q, v, p: 0.0 * v,
+    input_map=lambda q, v, u, p: u,
+)
+
+
+def test_a_free_mass_has_no_horizon_however_long_it_is_shaken_and_however_noisy():
+    t = np.arange(0.0, 20.0, 0.01)
+    noisy = np.sin(20 * t) + 0.1 * np.random.default_rng(0).normal(size=len(t))
+    assert horizon(FREE_MASS, noisy[:, None], 0.01, 8) is None

@@ -108,8 +108,10 @@ def steps_before_growth(
     """Steps in which `dx/dt = A(t) dx` lets no error grow too much, wherever it begins.
 
     Growth is counted in multiples of the transient growth. Where an element of the transition grows
-    to `C e^(rt)`, that is `C`, read from its growth across one block and across two. It depends on
-    the units of the states and on the stiffness of the plant, the rate `r` does not.
+    to `C e^(rt)`, that is `C`, read from its growth along a stretch, along the next one and along
+    both: over stretches of one block, of two, of four ... up to half of the record. It depends
+    on the units of the states and on the stiffness of the plant, the rate `r` does not. Growth that
+    only takes long, as the distance that a free mass goes with a wrong velocity, is transient, too.
 
     Args:
         a: A at every sample.
@@ -128,24 +130,25 @@ def steps_before_growth(
     transitions, peaks = zip(
         *(_transitions_across_blocks(part, dt, block) for part in parts), strict=True
     )
-    across_block, peak = np.concatenate(transitions), np.concatenate(peaks)[:-1]
-    across_two = np.abs(across_block[1:] @ across_block[:-1])
-    # the transient of most blocks: a fall that a record goes through once is none
-    transients = np.nan_to_num(peak**2 / np.maximum(peak, across_two), nan=1.0, posinf=1.0)
-    transient = np.maximum(np.median(transients, axis=0), 1.0)
+    across_block, peak = np.concatenate(transitions), np.concatenate(peaks)
+    doubled = [across_block]  # from every block's beginning over 1, 2, 4, ... blocks
+    transient = np.ones(across_block.shape[1:])
+    while 2 ** len(doubled) <= blocks:
+        reach = 2 ** (len(doubled) - 1)
+        doubled.append(doubled[-1][reach:] @ doubled[-1][:-reach])
+        both, before, after = np.abs(doubled[-1]), peak[:-reach], peak[reach:]
+        peak = np.maximum(np.maximum(before, after), both)
+        transients = np.nan_to_num(before * after / peak, nan=1.0, posinf=1.0)
+        # that of most stretches: a fall that a record goes through once is none
+        transient = np.maximum(transient, np.median(transients, axis=0))
 
     def has_grown(errors: np.ndarray) -> bool:
         return not np.linalg.norm(errors / transient / growth, axis=(1, 2)).max() <= 1
 
-    doubled = [across_block]  # from every block's beginning over 1, 2, 4, ... blocks
-    while not has_grown(doubled[-1]) and 2 ** len(doubled) <= blocks:
-        reach = 2 ** (len(doubled) - 1)
-        doubled.append(doubled[-1][reach:] @ doubled[-1][:-reach])
     # as many blocks as no error grows in, by bisection
-    below = doubled[:-1] if has_grown(doubled[-1]) else doubled
     length, error = 0, np.broadcast_to(np.eye(a.shape[1]), across_block.shape)
-    for k in reversed(range(len(below))):
-        further = below[k][length:]
+    for k in reversed(range(len(doubled))):
+        further = doubled[k][length:]
         longer = further @ error[: len(further)]
         if len(longer) and not has_grown(longer):
             length, error = length + 2**k, longer
