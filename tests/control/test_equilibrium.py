@@ -69,16 +69,27 @@ def test_a_fitted_model_has_its_equilibrium_beside_the_position():
         find_equilibrium(model, {"alpha": 0.0}, tolerance=0.01)
 
 
-def test_an_input_inside_its_dead_zone_is_named():
-    class Sticky(LinearMachine):
-        def step(self, x, u):
-            return super().step(x, u - jnp.clip(u, -0.5, 0.5))
+class Sticky(LinearMachine):
+    def step(self, x, u):
+        return super().step(x, u - jnp.clip(u, -0.5, 0.5))
 
+
+@pytest.mark.parametrize("stiffness", [0.0, 2.0])
+def test_an_input_inside_its_dead_zone_is_named(stiffness):
     whole = double_integrator()
-    model = Sticky(whole.a, whole.b, whole.channels)
+    a = whole.a - stiffness * whole.b @ np.array([[1.0, 0.1]])
+    model = Sticky(a, whole.b, whole.channels)
     point = find_equilibrium(model, {"s": 0.0})
     with pytest.raises(tn.InputError, match="gain of force at 0 N is 0, as inside a dead zone"):
         tn.control.lqr(model, point.x, point.u)
+
+
+def test_an_equilibrium_beyond_a_dead_zone_is_reached_from_inside_it():
+    whole = double_integrator()
+    model = Sticky(whole.a - 2 * whole.b @ np.array([[1.0, 0.1]]), whole.b, whole.channels)
+    point = find_equilibrium(model, {"s": 0.1})
+    assert point.x[0] == pytest.approx(0.1, abs=1e-6)
+    assert point.u == pytest.approx(0.5 + 0.2, abs=1e-6)
 
 
 def test_an_unobservable_mode_is_named_by_its_state():

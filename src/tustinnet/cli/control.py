@@ -58,8 +58,8 @@ def control(
         typer.Option(
             metavar="NAME=VALUE,..",
             help="Positions to hold, e.g. alpha=0, alpha=90deg; a number alone is in the unit of "
-            "the data card's column. With --to, positions where the motion begins. May be "
-            "repeated.",
+            "the data card's column, from its offset on. With --to, positions where the motion "
+            "begins. May be repeated.",
         ),
     ] = None,
     swing_up: Annotated[

@@ -7,10 +7,11 @@ from typing import NamedTuple
 import numpy as np
 import scipy.linalg
 import scipy.optimize
-from jaxtyping import Complex, Float
+from jaxtyping import Bool, Complex, Float
 
 from tustinnet.control.dynamics import (
     ControlledModel,
+    InputLimits,
     Limits,
     controlled,
     input_limits,
@@ -177,28 +178,77 @@ def find_equilibrium(
     n_x = system.n_x
     target = np.zeros(n_x)
     target[channels.position] = [at.get(name, 0.0) for name in positions]
+    size = np.ones(channels.n_q) if sizes is None else np.where(sizes > 0, sizes, 1.0).clip(max=1.0)
     price = np.full(n_x, PRICES.internal)
     price[channels.position] = [PRICES.named if name in at else PRICES.other for name in positions]
     price[channels.velocity] = PRICES.velocity
-    size = np.ones(channels.n_q) if sizes is None else np.where(sizes > 0, sizes, 1.0).clip(max=1.0)
     price[channels.position] /= size**2
     price[channels.velocity] /= size**2
-    half = (bounds.upper - bounds.lower) / 2
-    unit = np.concatenate([1 / np.sqrt(price), half / np.sqrt(PRICES.input)])
-    centre = np.concatenate([target, bounds.clip(np.zeros(system.n_u))])
-    internal = np.zeros(n_x, bool)
-    internal[channels.internal] = True
+    search = _EquilibriumSearch(system, bounds, target, price)
+
+    def distance(point: Float[np.ndarray, " n_xu"] | None) -> float:
+        """The largest distance from a named position, by the sizes; inf of no point."""
+        if point is None:
+            return np.inf
+        off = np.abs(point[channels.position] - target[channels.position]) / size
+        off = [d for d, name in zip(off.tolist(), positions, strict=True) if name in at]
+        return max(off, default=0.0)
+
+    # friction that holds a part of the load today holds another one tomorrow
+    nearest = search.settle(target, is_relaxed=True) if search.internal.any() else None
+    if distance(nearest) > tolerance:
+        nearest = search.settle(target)
+    if distance(nearest) > 1e-6:
+        # nothing changes with inputs inside their dead zones
+        others = [search.settle(target, share) for share in (-0.9, 0.9)]
+        nearest = min([nearest, *others], key=distance)
+    if distance(nearest) > tolerance:
+        starts = _other_starts(target, channels.angular, positions, at)
+        nearest = min([nearest, *(search.settle(first) for first in starts)], key=distance)
+    if nearest is None or distance(nearest) > tolerance:
+        raise _no_equilibrium(at, nearest, positions, bounds, channels.inputs)
+    x, u = nearest[:n_x], bounds.clip(nearest[n_x:])
+    return OperatingPoint(x, u, system.names, find_modes(system, x, u, speeds))
+
+
+@dataclass(frozen=True)
+class _EquilibriumSearch:
+    """Search for an equilibrium near a state.
+
+    Attributes:
+        system: the model.
+        bounds: the limits of the inputs.
+        target: the state, (n_x,).
+        price: of a squared distance from each state, (n_x,).
+    """
+
+    system: ControlledModel
+    bounds: InputLimits
+    target: Float[np.ndarray, " n_x"]
+    price: Float[np.ndarray, " n_x"]
+
+    @property
+    def internal(self) -> Bool[np.ndarray, " n_x"]:
+        """Whether a state is an internal one."""
+        internal = np.zeros(self.system.n_x, bool)
+        internal[self.system.model.channels.internal] = True
+        return internal
 
     def settle(
-        first: Float[np.ndarray, " n_x"], *, is_relaxed: bool = False
+        self, first: Float[np.ndarray, " n_x"], inputs: float = 0.0, *, is_relaxed: bool = False
     ) -> Float[np.ndarray, " n_xu"] | None:
         """The equilibrium nearest to the named positions that is reached from a state.
 
         Args:
             first: the state.
+            inputs: the inputs, all as a share of half of their ranges.
             is_relaxed: whether internal states are 0, as of dry friction that holds nothing.
         """
-        free = np.where(internal & is_relaxed, 0.0, np.inf)
+        system, n_x, bounds, target = self.system, self.system.n_x, self.bounds, self.target
+        half = (bounds.upper - bounds.lower) / 2
+        unit = np.concatenate([1 / np.sqrt(self.price), half / np.sqrt(PRICES.input)])
+        centre = np.concatenate([target, bounds.clip(np.zeros(system.n_u))])
+        free = np.where(self.internal & is_relaxed, 0.0, np.inf)
         lower, upper = (
             np.concatenate([end, (own - centre[n_x:]) / unit[n_x:]])
             for end, own in zip((-free, free), bounds, strict=True)
@@ -210,7 +260,8 @@ def find_equilibrium(
             jacobian = jacobian - np.eye(n_x, len(point))
             return (value - point[:n_x]) / system.dt, jacobian * unit / system.dt
 
-        y = np.concatenate([(first - target) / unit[:n_x], np.zeros(system.n_u)])
+        commands = np.full(system.n_u, inputs * np.sqrt(PRICES.input))
+        y = np.concatenate([(first - target) / unit[:n_x], commands])
         with np.errstate(all="ignore"):
             # rates that depend on one another, as of dry friction with a memory, count once
             axes, sizes, _ = np.linalg.svd(np.nan_to_num(change(y)[1]), full_matrices=False)
@@ -241,25 +292,6 @@ def find_equilibrium(
         )
         # only rounding keeps smaller ones from 0
         return np.where(np.abs(point) < 1e-12, 0.0, point) if is_settled else None
-
-    def distance(point: Float[np.ndarray, " n_xu"]) -> float:
-        """The largest distance from a named position, by the sizes."""
-        off = np.abs(point[channels.position] - target[channels.position]) / size
-        off = [d for d, name in zip(off.tolist(), positions, strict=True) if name in at]
-        return max(off, default=0.0)
-
-    # friction that holds a part of the load today holds another one tomorrow
-    nearest = settle(target, is_relaxed=True) if internal.any() else None
-    if nearest is None or distance(nearest) > tolerance:
-        nearest = settle(target)
-    if nearest is None or distance(nearest) > tolerance:
-        others = [settle(first) for first in _other_starts(target, channels.angular, positions, at)]
-        candidates = [point for point in (nearest, *others) if point is not None]
-        nearest = min(candidates, key=distance) if candidates else None
-    if nearest is None or distance(nearest) > tolerance:
-        raise _no_equilibrium(at, nearest, positions, bounds, channels.inputs)
-    x, u = nearest[:n_x], bounds.clip(nearest[n_x:])
-    return OperatingPoint(x, u, system.names, find_modes(system, x, u, speeds))
 
 
 def _other_starts(
@@ -399,28 +431,25 @@ def require_stabilisable(
     u: Float[np.ndarray, " n_u"],
     speeds: Float[np.ndarray, " n_q"] | None,
 ) -> None:
-    """Raises where a mode that does not decay cannot be moved by the inputs.
+    """Raises where the inputs move nothing, or not a mode that does not decay.
 
     Raises:
-        InputError: such a mode, by its coordinates and its eigenvalue, or inputs without effect.
+        InputError: inputs without effect, or such a mode, by its coordinates and its eigenvalue.
     """
+    _, b = tangent_of_held_inputs(system, x, u, speeds)
+    if not b.any():
+        inputs = zip(system.model.channels.inputs, u, strict=True)
+        idle = [f"{i.name} at {value:.4g} {i.unit}".rstrip() for i, value in inputs]
+        raise InputError(
+            "lqr",
+            f"the gain of {join_words(idle)} is 0, as inside a dead zone: linear feedback moves "
+            "nothing",
+            "inputs that act at the equilibrium",
+            "hold a point whose inputs are beyond the dead zone; or fit a model to commands less "
+            "their dead zone, and add its width to those of the controller",
+        )
     for mode in find_modes(system, x, u, speeds):
         if not mode.controllable and not mode.is_stable:
-            _, b = tangent_of_held_inputs(system, x, u, speeds)
-            idle = [
-                f"{i.name} at {value:.4g} {i.unit}".rstrip()
-                for i, value, effect in zip(system.model.channels.inputs, u, b.T, strict=True)
-                if not effect.any()
-            ]
-            if idle:
-                raise InputError(
-                    "lqr",
-                    f"the gain of {join_words(idle)} is 0, as inside a dead zone: linear feedback "
-                    f"cannot move {mode.states[0]}, which does not come back by itself",
-                    "inputs that act at the equilibrium",
-                    "fit a model without the dead zone and add its width to the commands, or hold "
-                    "a point whose inputs are beyond it",
-                )
             raise InputError(
                 "lqr",
                 f"{mode} is not controllable from the inputs and does not decay",
