@@ -190,7 +190,7 @@ def test_a_lerobot_data_set_is_given_by_its_folder(version, tmp_path, capsys):
     pl.DataFrame({"task_index": [0]}).write_parquet(folder / "meta/tasks.parquet")
     code, out, err = tustinnet(capsys, "init", folder, "--yes")
     assert code == 0, err
-    assert "note: a LeRobot data set, 50 frames a second" in err
+    assert "note: a LeRobot data set, 50 frames a second" in out
     assert "observation.state.shoulder.pos  coordinate" in out
     assert len(tn.load(folder)) == 3
 
@@ -233,3 +233,15 @@ def test_a_folder_of_nothing_but_pictures_has_no_logs(tmp_path: Path, capsys) ->
         code, out, err = tustinnet(capsys, *command)
         assert (code, out, err.count("\n")) == (1, "", 1)
         assert "no logs" in err
+
+
+def test_a_remark_on_a_file_is_on_the_terminal_once(tmp_path, capsys):
+    t = 0.01 * np.arange(300)
+    rows = "\n".join(f"{a:.2f}\t{np.sin(5 * a):.6f}\t" for a in t)
+    (tmp_path / "a.txt").write_text(f"{rows}\n")
+    code, out, err = tustinnet(capsys, "init", tmp_path, "--yes")
+    assert code == 0, err
+    assert f"{out}{err}".count("separated by tabs") == 1
+    card = (tmp_path / "dataset.toml").read_text()
+    assert "empty in every row" in card
+    assert "header = true" not in card

@@ -175,6 +175,28 @@ def test_a_clock_without_a_name_may_stand_behind_others(tmp_path: Path) -> None:
     assert card["dt"] == pytest.approx(DT, rel=0.02)
 
 
+def test_without_names_a_turning_motor_is_no_second_clock_and_the_clock_is_in_doubt(
+    tmp_path: Path,
+) -> None:
+    rng = np.random.default_rng(0)
+    t = np.cumsum(0.006 * (1 + 0.1 * rng.normal(size=300)))
+    turns = np.round(400 * (t - 0.1 * (1 - np.exp(-t / 0.1))) + 2 * np.sin(9 * t))
+    np.savetxt(tmp_path / "run.csv", np.column_stack([t, turns]), delimiter=",")
+    made = draft_card(tmp_path, ["run.csv"])
+    assert made.clock.column == "column 1"
+    assert "check that it is the time" in made.text
+    assert uses(made) == {"column 2": "coordinate"}
+
+
+def test_a_record_of_which_a_quarter_rests_stays_whole(tmp_path: Path) -> None:
+    u = np.where(np.arange(N) < 900, 0.0, 2.0)
+    x, _ = moved_by(u, damping=6.0)
+    made = draft(tmp_path, {"angle": x, "volts": u})
+    assert "cut into" not in made.text
+    made = draft(tmp_path, {"angle": moved_by(levels(11))[0], "volts": levels(11)})
+    assert "one record, cut into four parts" in made.text
+
+
 @pytest.mark.real
 def test_the_clock_of_measured_records_without_a_header_is_found(real_data: Path) -> None:
     files = sorted(p.relative_to(real_data).as_posix() for p in real_data.glob("train/*.csv"))
@@ -296,7 +318,7 @@ def test_a_smooth_column_is_not_caused_by_whatever_else_is_smooth(tmp_path: Path
     waves = [np.sum([np.sin(f * t + k) for f in (1.1, 1.9, 3.2)], axis=0) for k in (0, 2)]
     made = draft(tmp_path, {"theta1": waves[0], "theta2": waves[1]})
     assert uses(made) == {"theta1": "coordinate", "theta2": "coordinate"}
-    assert made.notes == ("no input was found: the records are taken for free motion",)
+    assert made.notes == ("no input was found: a fit takes the records for free motion",)
 
 
 def test_joints_and_velocities_without_names_are_two_blocks_that_say_the_period(

@@ -131,13 +131,10 @@ def sampling(view: RecordView) -> Iterator[Finding]:
 def dead_sensor(view: RecordView) -> Iterator[Finding]:
     """Coordinates that never change, or flicker between two neighbouring counts."""
     e = view.experiment
-    for c, q, moves in zip(e.coordinates, e.q.T, view.moving, strict=True):
-        # what goes from one place to another in a sample does so once or twice
-        changes = np.count_nonzero(np.diff(q))
-        flickers = len(np.unique(q)) == 2 and (
-            changes > 2 if c.resolution is None else bool(np.ptp(q) < 1.5 * c.resolution)
-        )
-        if flickers or not moves:
+    for c, q, moves, flickers in zip(
+        e.coordinates, e.q.T, view.moving, view.flickers.tolist(), strict=True
+    ):
+        if not moves:
             yield view.finding(
                 "dead sensor",
                 coordinate_line(c.name, WHICH_COLUMN),
@@ -171,7 +168,7 @@ def positions(view: RecordView) -> Iterator[Finding]:
                     milliseconds=1e3 * max(samples) * view.experiment.dt,
                 )
         if share := view.wild_share(j):
-            mend = coordinate_line(c.name, "correct `unit`")
+            mend = f"{coordinate_line(c.name, 'correct `unit`')}; or record with a shorter period"
             # a wheel that spins fast does so steadily
             is_steady = np.abs(np.diff(view.experiment.q[:, j], n=2)).max() < np.pi / 2
             severity = "note" if is_steady else None

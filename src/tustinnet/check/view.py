@@ -49,7 +49,24 @@ class RecordView:
     @cached_property
     def moving(self) -> Bool[np.ndarray, " n_q"]:
         """Mask of the coordinates that move."""
-        return transients.is_moving(self.experiment.q)
+        return transients.is_moving(self.experiment.q) & ~self.flickers
+
+    @cached_property
+    def flickers(self) -> Bool[np.ndarray, " n_q"]:
+        """Mask of the coordinates that flicker between two neighbouring counts."""
+        e = self.experiment
+        # what goes from one place to another in a sample does so once or twice
+        return np.array(
+            [
+                len(np.unique(q)) == 2
+                and (
+                    np.count_nonzero(np.diff(q)) > 2
+                    if c.resolution is None
+                    else bool(np.ptp(q) < 1.5 * c.resolution)
+                )
+                for c, q in zip(e.coordinates, e.q.T, strict=True)
+            ]
+        )
 
     @cached_property
     def counts(self) -> list[float]:

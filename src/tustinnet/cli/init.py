@@ -2,7 +2,7 @@
 
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -64,14 +64,17 @@ def init(
         # while questions were answered, another may have written one
         disk.require_outputs(outputs, overwrite=overwrite)
         write_draft(draft, folder)
+    shown: set[str] = set()
     if json:
         card = os.fspath(folder / catalog.CARD_NAME)
         terminal.print_json({"card": card} | draft_as_plain(draft))
     else:
         _print_draft(draft, folder)
         place, card = catalog.locate(folder)
-        print_inspection(loading.load_folder(place, card), card)
-    print_assumptions(draft)
+        records = loading.load_folder(place, card)
+        print_inspection(records, card)
+        shown = {note for e in records for note in e.notes}
+    print_assumptions(draft, shown)
     draw_draft(draft, folder)
     fit, then = f"tustinnet fit {shlex.quote(str(folder))}", "next"
     if loaded is not None:
@@ -222,10 +225,15 @@ def draft_into_run(folder: Path, out: Path, *, keeps: bool, overwrite: bool) -> 
     return card
 
 
-def print_assumptions(draft: "tn.Draft") -> None:
-    """Prints what was assumed and remarks on the files, a line each, as messages."""
+def print_assumptions(draft: "tn.Draft", shown: Collection[str] = ()) -> None:
+    """Prints what was assumed and remarks on the files, a line each, as messages.
+
+    Args:
+        draft: the draft.
+        shown: remarks that are on the terminal already.
+    """
     console = terminal.messages()
-    for note in draft.notes:
+    for note in (n for n in draft.notes if n not in shown):
         console.print(note if note.startswith("left out") else f"note: {note}")
     for question in draft.questions:
         console.print(f"assumed: {question.text}: {question.assumption}")

@@ -630,6 +630,8 @@ def _numbers(
     if has_dates and numbers.null_count():
         numbers = read_dates(cells)
     if numbers.null_count():
+        if not (cells.fill_null("").str.strip_chars() != "").any():
+            raise InputError(f"{path}, {name}", "empty in every row", "numbers")
         sample = int(np.flatnonzero(numbers.is_null().to_numpy())[0])
         text = (cells[sample] or "").strip()
         remedy = "correct or remove the row"

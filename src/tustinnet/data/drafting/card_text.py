@@ -74,7 +74,7 @@ def write_card(
         lines += ["", "# [[coordinates]]: no column could be a position"]
     lines += [line for channel in choice.inputs for line in _input(channel, key)]
     if not choice.inputs:
-        lines += ["", "# no column looks like an input: the records are of free motion"]
+        lines += ["", "# no column looks like an input: a motion that something drives needs one"]
     unused = {**choice.unused, **clock.others, **texts}
     lines += [""] if unused or choice.missing else []
     lines += [f"# {sentence}" for sentence in choice.missing]

@@ -252,7 +252,7 @@ def draft_examined(
     texts = {n: text for log in logs for n, text in log.texts.items() if "where the others" in text}
     notes += [f"'{name}' is left out: {text}" for name, text in texts.items()]
     if not choice.inputs:
-        notes.append("no input was found: the records are taken for free motion")
+        notes.append("no input was found: a fit takes the records for free motion")
     if conditions := find_conditions(found):
         differences = f"{', '.join(conditions[:4])}{', ...' if len(conditions) > 4 else ''}"
         is_period = clock.column is None and all(map(period_in_name, conditions))
@@ -451,7 +451,7 @@ def _usable_pieces(
                 f"{place}: cut off at its ends, not finite or without a time of their own: "
                 + counted(len(finite) - len(rows), "row")
             )
-            piece = piece.part(int(rows[0]), int(rows[-1]) + 1, "rows are not finite")
+            piece = piece.part(int(rows[0]), int(rows[-1]) + 1, "rows lack numbers or times")
         if coordinates and not any(np.ptp(piece.column(name)) for name in coordinates):
             on_message(f"left out: {place}: nothing moves")
         else:

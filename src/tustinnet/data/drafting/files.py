@@ -79,7 +79,7 @@ def _list_all(paths: Sequence[Path]) -> tuple[Path, list[str]]:
 def _list_logs_below(folder: Path) -> list[str]:
     """The logs of a folder, or of all folders of the first depth at which there are some."""
     level = [folder]
-    for _ in range(5):  # down to four folders below it
+    for _ in range(10):  # nobody's logs lie deeper
         logs = [f"{p.relative_to(folder).as_posix()}/{n}" for p in level for n in list_logs_in(p)]
         if logs:
             return [log.removeprefix("./") for log in logs]

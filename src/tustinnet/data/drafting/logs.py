@@ -485,6 +485,7 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     Where no column has a name, intervals that jitter tell it from these.
     """
     candidates: list[tuple[float, str]] = []
+    spreads: dict[str, float] = {}
     others: dict[str, str] = {}
     own_times = logs[0].clocks
     is_first = True  # but for counters and what never changes
@@ -517,6 +518,8 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
         may_count = weight == 0 and bool((intervals == 1).all())
         points = weight - 2 * min(spread, 1.0) - 0.1 * begins_late - may_count + 0.5 * is_first
         candidates.append((points, name))
+        spreads[name] = spread
+        is_first &= weight > 0
     if not candidates:
         return _find_rounded_clock(logs, readings, others)
     # the first of equal ones
@@ -524,8 +527,16 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     others |= {
         name: "rises as a clock does"
         for _, name in candidates
-        # beside a named clock, as of a file of times, what has no name may be a motion
-        if name != best and (best.startswith(NUMBERED) or not name.startswith(NUMBERED))
+        # what has no name may be a motion: beside a named clock, of whole numbers, less regular
+        if name != best
+        and (
+            not name.startswith(NUMBERED)
+            or (
+                best.startswith(NUMBERED)
+                and spreads[name] <= CLOCK.jitter
+                and not _are_whole([log.values[name] for log in logs])
+            )
+        )
     }
     times = [log.values[best] for log in logs]
     others |= {
@@ -543,6 +554,8 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
     if not own_times or logs[0].joined or logs[0].units.get(best) != "s":
         unit, because, sure = _time_unit(best, readings[best], times)
     reason = "by its name" if readings[best].quantities.get("time") else "it rises regularly"
+    if not readings[best].quantities.get("time") and spreads[best] > CLOCK.jitter:
+        reason = f"it rises, by steps that vary by {spreads[best]:.2g}: check that it is the time"
     intervals = _intervals(times)
     assert intervals is not None
     if ticks := _TICKS.search(best):  # cards have no such unit
@@ -561,7 +574,7 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
 @np.errstate(all="ignore")  # constants count nothing
 def _counts_with(times: Sequence[Values], columns: Sequence[Values]) -> bool:
     """Whether whole numbers of a column rise with the time in every record, but for rounding."""
-    if min(map(len, times)) <= _SHORTEST_RECORD or any((x != np.round(x)).any() for x in columns):
+    if min(map(len, times)) <= _SHORTEST_RECORD or not _are_whole(columns):
         return False
     pairs = zip(times, columns, strict=True)
     return all(float(np.corrcoef(t, x)[0, 1]) > CLOCK.counts for t, x in pairs)
@@ -608,6 +621,11 @@ def _intervals(columns: Sequence[Values]) -> Values | None:
     if (~rising).any() and max(map(len, columns)) < _SHORTEST_RECORD:
         return None
     return steps[rising]
+
+
+def _are_whole(columns: Sequence[Values]) -> bool:
+    """Whether columns are of whole numbers."""
+    return all((column == np.round(column)).all() for column in columns)
 
 
 def _rises(column: Values) -> Values:
@@ -669,7 +687,7 @@ def _time_unit(name: str, reading: NameReading, columns: Sequence[Values]) -> tu
     steps = np.concatenate([np.diff(column) for column in columns])
     step, first = float(np.median(steps[steps > 0])), float(columns[0][0])
     is_named = reading.unit in TIME and reading.quantity == "time"
-    is_whole = all((column == np.round(column)).all() for column in columns)
+    is_whole = _are_whole(columns)
     if is_named and (is_whole or step * TIME[reading.unit] >= _LOGGED_PERIODS[0]):
         return reading.unit, f"in {reading.unit} by its name", True
     for word, unit in (

@@ -276,8 +276,10 @@ def _cut_long(
         (piece,) = parts
         n = len(piece.t)
         edges = [0, n // 4, n // 2, 3 * n // 4, n]
-        parts = [piece.part(a, b, "the end") for a, b in pairwise(edges)]
-        sentences.append(f"{piece.log.file}: one record without rests, cut into four parts")
+        motion = [columns[0] for columns in positions.values()]
+        if all(any(np.ptp(q[a:b]) > 0.1 * np.ptp(q) for q in motion) for a, b in pairwise(edges)):
+            parts = [piece.part(a, b, "the end") for a, b in pairwise(edges)]
+            sentences.append(f"{piece.log.file}: one record, cut into four parts")
     return parts, sentences
 
 

@@ -138,6 +138,7 @@ current:mA:
 duty:%:pct percent prozent
 force:N:newton newtons
 force:kN:
+force:mN:
 torque:N m:nm n*m n_m newtonmeter
 torque:mN m:mnm mn*m
 torque:N cm:ncm n*cm
