@@ -722,8 +722,9 @@ def test_a_training_that_the_budget_stops_is_scored_with_the_weights_that_it_has
 
 def test_one_record_is_cut_and_told(tmp_path):
     one = replace(swings(), experiments=(swings()[0],))
-    with pytest.raises(InputError, match=r"fall1.*200 samples: cut into 6.*at least 100"):
-        selected(tmp_path, data=one, text=SOLVED)
+    short = replace(one, experiments=(one[0][:149],))
+    with pytest.raises(InputError, match=r"fall1.*149 samples, too few.*at least 50, 3 in all"):
+        selected(tmp_path, data=short, text=SOLVED)
     long = replace(
         one,
         experiments=(

@@ -14,8 +14,9 @@ from tustinnet.fitting.roles import Roles, records_without_test
 
 FOLDS = 5  # unless another number is given, or there are fewer records
 _FEWEST = 3  # records that folds need: one is scored, one chooses, the others train
-_PIECES = 6  # that fewer records are cut into, all together
-_SHORTEST = 100  # samples of a piece, or of a record unless there are many such
+_PIECES = 6  # that fewer records are cut into at most, all together
+_SHORTEST_PIECE = 50  # samples of such a piece
+_SHORTEST = 100  # samples of a record unless there are many such
 _LITTLE = 0.1  # of all samples, that short records have which are left out
 
 
@@ -105,17 +106,18 @@ def prepare_for_folds(data: DataSet) -> tuple[DataSet, list[Finding]]:
         return replace(data, experiments=tuple(records)), findings
     if not records:
         raise InputError(data.name, "test records alone", "records to fit to")
-    count = _PIECES // len(records)
+    shortest = min(records, key=len)
+    count = min(_PIECES // len(records), len(shortest) // _SHORTEST_PIECE)
+    if count * len(records) < _FEWEST:
+        raise InputError(
+            shortest.name,
+            f"{len(shortest)} samples, too few to be cut into pieces to be judged by",
+            f"pieces of at least {_SHORTEST_PIECE}, {_FEWEST} in all",
+            "record longer, or name a recipe (`recipe=`)",
+        )
     pieces: list[Experiment] = []
     for e in records:
         edges = [round(i * len(e) / count) for i in range(count + 1)]
-        if edges[1] < _SHORTEST:
-            raise InputError(
-                e.name,
-                f"{len(e)} samples: cut into {count} to be judged, {edges[1]} each",
-                f"at least {_SHORTEST} in a piece",
-                "record longer, or name a recipe (`recipe=`)",
-            )
         pieces += [
             replace(e[a:b], name=f"{e.name}[{a}:{b}]", split=None) for a, b in pairwise(edges)
         ]

@@ -413,7 +413,7 @@ class CandidateQueue:
 
         Then free runs of whole records say little of any model.
         """
-        if self.context.scoring.horizon is not None or not fit.unexplained:
+        if self._is_judged_as_it_can_be or not fit.unexplained:
             return False
         means = (mean_and_error(rmse.values())[0] for rmse in fit.rmse.values())
         is_lost = not any(mean <= self.context.motion_within_turns for mean in means)
@@ -424,10 +424,24 @@ class CandidateQueue:
 
         As where a plant is unstable, turns over or only integrates.
         """
-        if self.context.scoring.horizon is not None or not (ranking := self._rank()):
+        if self._is_judged_as_it_can_be or not (ranking := self._rank()):
             return False
         far = OPTIONS.far * self.context.motion_within_turns
         return not any(mean_and_error(r.compared().values())[0] <= far for r in ranking)
+
+    def _piece_horizon(self) -> float:
+        """The shortest horizon [s] that a fit chose, or a tenth of a record; beyond a start."""
+        data, start = self.context.data, start_named(self.context.scoring.start)
+        chosen = [fit.horizon for r in self.results.values() for fit in r.fits if fit.horizon]
+        usual = OPTIONS.horizon * float(np.median([len(e) for e in data])) * data.channels.dt
+        return max(min([usual, *chosen]), OPTIONS.starts * start.samples * data.channels.dt)
+
+    @property
+    def _is_judged_as_it_can_be(self) -> bool:
+        """Whether pieces of records are judged, or records that are no longer than pieces."""
+        data = self.context.data
+        span = (min(map(len, data)) - 1) * data.channels.dt
+        return self.context.scoring.horizon is not None or self._piece_horizon() > span
 
     def judge_by_pieces_if_lost(self) -> None:
         """Scores over pieces of records where no candidate follows whole ones."""
@@ -435,15 +449,12 @@ class CandidateQueue:
             self._judge_by_pieces()
 
     def _judge_by_pieces(self) -> None:
-        """Scores again, over the shortest horizon that a fit chose, or a tenth of a record.
+        """Scores again, over pieces of records.
 
         Searches that begin at the values of others are over these pieces, too: fitted again.
         """
-        before, dt = self.context, self.context.data.channels.dt
-        chosen = [fit.horizon for r in self.results.values() for fit in r.fits if fit.horizon]
-        usual = OPTIONS.horizon * float(np.median([len(e) for e in before.data])) * dt
-        shortest = OPTIONS.starts * start_named(before.scoring.start).samples * dt
-        horizon = max(min([usual, *chosen]), shortest)
+        before = self.context
+        horizon = self._piece_horizon()
         may_be_controlled = before.cutoff is not None and before.data.channels.controller is None
         self.notes.append(
             make_finding("judged by pieces", horizon=horizon, may_be_controlled=may_be_controlled)

@@ -61,9 +61,9 @@ def _filter(
 ) -> Float[np.ndarray, " n"]:
     # twelve samples to both sides
     n, reach = len(q), min(12, (len(q) - 1) // 2)
+    if not np.ptp(q):  # less its mean, a constant may be rounding errors
+        return np.zeros(n)
     centred = q - q.mean()
-    if not centred.any():
-        return centred
     frequency, density = welch(centred, dt, min(n, SEGMENT))
     omega = 2 * np.pi * frequency[:-1]
     density = density[:-1]  # the trapezoidal rule has none at the last one, half the rate

@@ -35,8 +35,8 @@ SELECTION = {
         "{unit} in {tenths:.0f} of 10 cases"
     ),
     "expected vaguely": warning(
-        "a new record of these kinds: typically {typical:.2g} {unit}, and so few records do not "
-        "tell how far off it may be"
+        "the errors of {count:record}, {least:.2g} to {most:.2g} {unit}, do not tell that of a "
+        "new one"
     ),
     "few records make the mean": note(
         "the mean is pessimistic for most records, as few of them make it: {records}",
