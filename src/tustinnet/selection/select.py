@@ -306,7 +306,7 @@ def _choose(
         spoiled = _find_spoiled(candidates, best, models, context)
     stopwatch.end("records that spoil a fit")
     origins = {name: model.origin for name, model in models.items()}
-    of_fit = [f for f in final.header.get("findings", ()) if f["code"].startswith("at bound")]
+    of_fit = [f for f in final.header.get("findings", ()) if f["severity"] != "note"]
     queue.notes += [make_finding(f["code"], **f["values"]) for f in of_fit]
     errors = best.rmse()
     scored = [e for e in records_without_test(context.data) if e.name in errors]
