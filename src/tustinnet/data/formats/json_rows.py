@@ -46,7 +46,7 @@ class _Arrays:
         elif isinstance(value, Mapping):
             for key, item in value.items():
                 self.add(f"{name}/{key}" if name else key, item)
-        elif isinstance(value, list) and len(value) > 1:
+        elif isinstance(value, list) and (len(value) > 1 or _has_long_lists(value)):
             self._add_rows(name, value)
         else:
             self.others[name or "the file"] = "no rows" if isinstance(value, list) else repr(value)
