@@ -216,7 +216,7 @@ def test_objects_of_a_list_whose_fields_are_long_lists_are_records(tmp_path: Pat
     label = [*columns.parts][1]
     np.testing.assert_allclose(columns.part(label)["angle"], 1 + 0.1 * np.arange(50))
     alone = read(tmp_path / "one.json", {"rate": 50, "data": runs[:1]})
-    np.testing.assert_allclose(alone["data/1/angle"], 0.1 * np.arange(50))
+    np.testing.assert_allclose(alone["angle"], 0.1 * np.arange(50))
 
 
 def test_matrices_of_several_lengths_are_records(tmp_path: Path) -> None:
