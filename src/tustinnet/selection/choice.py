@@ -294,9 +294,11 @@ class Choice(Shown):
         mean, error, count = difference.mean, difference.standard_error, difference.records
         level = LEVEL * best.mean
         code = "not clearly better"
-        if mean < 0:
+        if abs(mean) <= level:
+            code = "next as good"
+        elif mean < 0:
             code = "other better" if count >= FEW else "other better few"
-        elif mean > level and (count < FEW or mean > CLEAR * error):
+        elif count < FEW or mean > CLEAR * error:
             code = "clearly better" if count >= FEW else "not clearly better few"
         return make_finding(
             code, other=name, difference=abs(mean), error=error, unit=self.unit, records=count

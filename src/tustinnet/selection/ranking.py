@@ -172,7 +172,7 @@ def rank(results: Iterable[CandidateResult]) -> list[CandidateResult]:
                 doubt = 0.0 if is_plain else _DOUBT_OF_TWO * doubt
             value = means[best.name] + difference.mean + doubt
             more = (r for r in scored if len(r.fits_by_fold) > len(result.fits_by_fold))
-            if any(paired_difference(result, r).mean > 0 for r in more):
+            if any(is_ahead(r, result) for r in more):
                 value = max(value, np.nextafter(means[best.name], np.inf))
         return value if np.isfinite(value) else np.inf
 

@@ -61,6 +61,7 @@ SELECTION = {
     "not clearly better few": note(
         f"better than the next, {{other}}: {_DIFFERENCE}, too few to be sure"
     ),
+    "next as good": note("the next, {other}, is as good on {records:record}, to a fiftieth"),
     "other better": note(f"{{other}} is better {_DIFFERENCE}, not clearly"),
     "other better few": note(f"{{other}} is better {_DIFFERENCE}, too few to choose it by"),
     "simplest": note(
