@@ -26,7 +26,7 @@ from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.signals.outliers import sensor_noise
 from tustinnet.simulate.horizon import FOLLOWED
 
-_GROWTH = 1000.0  # of errors, with sensors without noise: forces that a model lacks grow, too
+_GROWTH = 300.0  # of errors, with sensors without noise: forces that a model lacks grow, too
 _LEAST_GROWTH = 10.0  # that of a fall which goes through upright once may be 50, of a held one any
 _FEWEST_BLOCKS = 2  # blocks: those across which the transient growth is read
 _SMALL = 0.5  # norm of a matrix whose exponential four terms of the series give to 1e-3
