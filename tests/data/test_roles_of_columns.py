@@ -188,6 +188,29 @@ def test_without_names_a_turning_motor_is_no_second_clock_and_the_clock_is_in_do
     assert uses(made) == {"column 2": "coordinate"}
 
 
+def test_one_odd_interval_and_a_count_that_begins_anywhere_change_no_period(tmp_path: Path) -> None:
+    x, _ = moved_by(levels(11))
+    t = 0.01 * np.arange(N)
+    t[1:] -= 0.0045  # the first interval alone is shorter
+    np.savetxt(
+        tmp_path / "a.csv", np.column_stack([t, x]), delimiter=",", header="t,x", comments=""
+    )
+    assert draft_card(tmp_path, ["a.csv"]).clock.dt == 0.01
+    columns = np.column_stack([np.arange(N) + 108, x, levels(11)])
+    np.savetxt(tmp_path / "b.csv", columns, delimiter=",")
+    made = draft_card(tmp_path, ["b.csv"])
+    assert made.clock.others == {"column 1": "counts the samples"}
+
+
+def test_what_nothing_calls_an_angle_is_unwrapped_where_it_jumps_by_turns_alone(
+    tmp_path: Path,
+) -> None:
+    u = levels(11)
+    steps = np.where(np.arange(N) % 500 < 250, 4.0, -0.5) + 0.3 * moved_by(u)[0]
+    assert "unwrap = false" in draft(tmp_path, {"one": steps, "volts": u}).text
+    assert "unwrap" not in draft(tmp_path, {"angle": steps, "volts": u}).text
+
+
 def test_a_record_of_which_a_quarter_rests_stays_whole(tmp_path: Path) -> None:
     u = np.where(np.arange(N) < 900, 0.0, 2.0)
     x, _ = moved_by(u, damping=6.0)

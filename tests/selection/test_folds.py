@@ -25,7 +25,7 @@ from tustinnet.selection.cross_validation import (
     cross_validate,
     make_cross_validation_options,
 )
-from tustinnet.selection.folds import FoldSplit, prepare_for_folds, split_into_folds
+from tustinnet.selection.folds import FoldSplit, are_cut, prepare_for_folds, split_into_folds
 from tustinnet.store.files import to_json
 
 TINY: dict[str, Any] = {
@@ -440,3 +440,11 @@ def test_the_usual_start_is_that_of_the_records(identified):
 def test_fewer_records_are_as_many_folds():
     assert len(split_into_folds(short(kinds="abcd"))) == 4
     assert len(split_into_folds(short())) == 5
+
+
+def test_parts_of_a_file_that_follow_each_other_are_pieces_of_a_record():
+    whole = records()[0]
+    parts = [replace(whole[a : a + 30], source="log.csv") for a in (0, 30, 60)]
+    assert are_cut(parts)
+    assert not are_cut([parts[0], parts[2]])
+    assert not are_cut([replace(p, source=f"{i}.csv") for i, p in enumerate(parts)])

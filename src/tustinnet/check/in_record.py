@@ -242,7 +242,8 @@ def _meaning_of_jumps(
             ),
             *spans,
         ]
-    for span, cause, mend in spans:
+    unit = None if block is None else block.unit
+    for span, cause, mend in (s for s in spans if not (unit and s[2].endswith(f'"{unit}"'))):
         jump = abs(span - turn * round(span / turn)) if is_unwrapped else span
         tolerance = max(3 * count, LEVELS.same_jump * jump)
         if jump > max(3 * LEVELS.counts * count, 1e-9) and abs(typical - jump) < tolerance:

@@ -211,7 +211,8 @@ class Choice(Shown):
 
     def _alternatives(self, best: CandidateResult) -> Iterator[Finding]:
         """The simplest that is as good, and the bands of the chosen one."""
-        if self.simplest != self.best:
+        is_of_use = self.result(self.simplest).mean < self.reference.mean
+        if self.simplest != self.best and is_of_use:
             difference = paired_difference(self.result(self.simplest), best)
             yield make_finding(
                 "simplest",

@@ -30,7 +30,7 @@ from tustinnet.selection.final_models import (
     compare_whole_records,
     make_final_models,
 )
-from tustinnet.selection.folds import prepare_for_folds
+from tustinnet.selection.folds import are_cut, prepare_for_folds
 from tustinnet.selection.jobs import NO_STAGE, SPENT, JobResult, MakeListener, RunContext
 from tustinnet.selection.plan import USUAL, SelectionPlan, read_plan
 from tustinnet.selection.queue import NO_TIME, CandidateQueue
@@ -154,7 +154,7 @@ def select_model(
         candidates_end = Deadline(started + budget - files - ending)
     # what cannot be done is said before time is spent
     records, before = prepare_for_folds(data)
-    is_cut = any(finding.code == "cut into pieces" for finding in before)
+    is_cut = any(finding.code == "cut into pieces" for finding in before) or are_cut([*records])
     horizon = effective_horizon(plan.horizon, list(records))
     context = RunContext(
         records,

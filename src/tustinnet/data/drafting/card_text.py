@@ -123,6 +123,8 @@ def _coordinate(c: CoordinateChoice, key: Callable[[str], str]) -> list[str]:
     ]
     if c.sine is not None:
         lines.append(f"sine = {key(c.sine)}  # its cosine is in `column`")
+    if not c.wraps:
+        lines.append("unwrap = false  # its jumps are no turns")
     if c.counts is not None:
         lines.append(f"counts_per_revolution = {c.counts}")
     if c.resolution is not None:

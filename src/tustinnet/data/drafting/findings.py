@@ -53,6 +53,7 @@ class CoordinateChoice:
         counts: encoder counts in a turn, None where not known.
         resolution: encoder count [rad or m], None where not known.
         sine: column of the sine of an angle whose cosine the column has, None otherwise.
+        wraps: whether jumps of more than half a turn are taken for wraps.
         velocity: its velocity column, if there is one.
         because: the reasons, a sentence each.
         doubts: what to check, a sentence each.
@@ -70,6 +71,7 @@ class CoordinateChoice:
     doubts: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
     sine: str | None = None
+    wraps: bool = True
 
 
 @dataclass(frozen=True)

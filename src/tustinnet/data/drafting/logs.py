@@ -502,7 +502,7 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
         spread = TO_DEVIATION * float(np.median(np.abs(relative - 1)))
         weight = reading.quantities.get("time", 0.0)
         if reading.quantity == "counter" or (
-            weight == 0 and (intervals == 1).all() and columns[0][0] in (0, 1)
+            weight == 0 and (intervals == 1).all() and _are_whole(columns)
         ):
             others[name] = "counts the samples"
             continue
@@ -661,6 +661,9 @@ def _period(intervals: Values) -> tuple[float, float]:
     """The period of a clock, and the largest deviation from it, gaps aside."""
     median = float(np.median(intervals))
     near = intervals[intervals < 1.5 * median]
+    regular = intervals[np.abs(intervals / median - 1) < 0.1]
+    if len(regular) > CLOCK.near * len(intervals):  # but for a few, as the first
+        near = regular
     fewest = CLOCK.near * len(intervals)
     if (
         len(_without_gaps(intervals, median)) < fewest

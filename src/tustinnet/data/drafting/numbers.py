@@ -101,6 +101,7 @@ class Numbers:
         levels: whether it is constant most of the time and then changes far.
         wrap: length of a turn in the column's unit, where it jumps by turns.
         count: the step of which all its changes are multiples, None without one.
+        largest_step: the largest change from one sample to the next.
     """
 
     range: tuple[float, float] | None
@@ -112,6 +113,7 @@ class Numbers:
     levels: bool = False
     wrap: float | None = None
     count: float | None = None
+    largest_step: float = 0.0
 
     @property
     def constant(self) -> bool:
@@ -179,6 +181,7 @@ def examine(pieces: Sequence[Values]) -> Numbers:
         levels=has_levels,
         wrap=None if has_levels else _find_turn(steps, levels),
         count=encoder_count(finite),
+        largest_step=float(moving.max()),
     )
 
 

@@ -92,6 +92,10 @@ def describe_coordinate(
         resolution, is_assumed = _length_of_count(column, speed, factor, findings, choice, doubts)
         assumed += ["resolution"] * is_assumed
     in_turn = counts if unit == "counts" else None
+    numbers = findings.numbers[column]
+    # what nothing calls an angle is unwrapped where it jumps by turns alone
+    is_angle = kind == "linear" or "kind" not in assumed or numbers.wrap is not None
+    turn = counts if unit == "counts" else 2 * np.pi / ANGLE.get(unit, np.inf)
     return CoordinateChoice(
         column,
         name,
@@ -103,6 +107,7 @@ def describe_coordinate(
         tuple(because),
         tuple(doubts),
         tuple(assumed),
+        wraps=is_angle or turn is None or numbers.largest_step <= turn / 2,
     )
 
 
