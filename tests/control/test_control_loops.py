@@ -21,6 +21,7 @@ from tustinnet.control.variants import FRICTION, make_variants, with_friction_fa
 from tustinnet.errors import InputError
 from tustinnet.families.euler_lagrange import draw_values
 from tustinnet.models.physical_values import with_values
+from tustinnet.report.control import sentences
 from tustinnet.simulate.filtering import FilterNoise
 from tustinnet.systems.qube_servo2_twin import COUNT, TWIN_VALUES
 
@@ -314,6 +315,16 @@ def test_what_holds_its_own_model_alone_is_no_promise():
     assert alone["delay 2"].share < 0.5
     assert not alone.problem
     assert "runs on the model" in play(Regulator(model, limit=0.1), "nominal").problem
+
+
+def test_a_motion_of_several_turns_is_refused_and_turns_are_named():
+    motor = tn.discretise(SWING.model({k: jnp.asarray(v) for k, v in TRUTH.items()} | LEVEL), DT)
+    limits = {"voltage": (-5.0, 5.0)}
+    held = ControlTask({"angle": 0.0}, limits=limits, trust_beyond=True)
+    assert "held at the nearest whole turn: angle" in sentences(design_controller(motor, held))
+    far = ControlTask({"angle": 20.0}, {"angle": 0.0}, limits=limits, trust_beyond=True)
+    with pytest.raises(InputError, match=r"to=.*20 rad from where the motion begins.*linear"):
+        design_controller(motor, far)
 
 
 def test_what_stays_where_it_is_put_is_to_be_brought_to_its_goal():

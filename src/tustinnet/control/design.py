@@ -273,6 +273,7 @@ def design_controller(
         _position_limits(model, task),
     )
     start, beyond, gains = None, None, feedback
+    _require_less_than_a_turn(model, task, feedback.periodic)
     if task.start is not None:
         on_message("motion")
         start = find(task.start)
@@ -602,6 +603,20 @@ def _deviations_of_short_ways(
     names, ways = [c.name for c in model.channels.coordinates], _ways(task)
     prices = {n: weights.states[names.index(n)] for n in ways if n not in task.deviations}
     return {n: ways[n] / 2 for n in prices if 0 < (ways[n] / 2) ** 2 * prices[n] < 1}
+
+
+def _require_less_than_a_turn(model: Model, task: ControlTask, periodic: Sequence[int]) -> None:
+    """Raises for a free motion of more than a turn of an angle: the nearest turn is held."""
+    if task.reference is not None:
+        return
+    names, ways = [model.channels.coordinates[i].name for i in periodic], _ways(task)
+    for name in (n for n in names if ways.get(n, 0.0) > 1.5 * np.pi):
+        raise InputError(
+            "`to=`",
+            f"{name} = {task.at[name]:.4g} rad, {ways[name]:.4g} rad from where the motion begins",
+            "less than a turn: the model is alike after each, so feedback holds the nearest one",
+            'for a wheel `kind = "linear"` in the data card, or a file of the motion (`follow=`)',
+        )
 
 
 def _ways(task: ControlTask) -> dict[str, float]:

@@ -273,6 +273,8 @@ def sentences(design: ControlDesign) -> list[str]:
         f"a run meets the goal where it ends {_windows(design)} for {design.goal.hold:.3g} s",
         *_sticking(design),
     ]
+    if turning := [point.names[i] for i in design.feedback.periodic]:
+        lines.append(f"held at the nearest whole turn: {join_words(turning)}")
     if design.mpc is not None:
         lines.append(
             f"predictive control: at every sample {design.mpc.steps} steps ahead, "

@@ -10,7 +10,9 @@ _HOLD = "[[; hold {hold}]][[ ({rivals:or} fits as well)]]"
 PREPARATION = {
     "timing none": note("input '{input}' acts without delay" + _HOLD),
     "timing delay": note(f"input '{{input}}' acts with a delay of {_DELAY}" + _HOLD),
-    "timing lag": note(f"input '{{input}}' acts through {_LAG}, without delay{_FORCE}" + _HOLD),
+    "timing lag": note(
+        f"input '{{input}}' acts through {_LAG}, or less of one after a delay{_FORCE}" + _HOLD
+    ),
     "timing delay and lag": note(
         f"input '{{input}}' acts with a delay of {_DELAY} and {_LAG}{_FORCE}" + _HOLD
     ),
