@@ -42,7 +42,7 @@ MACHINES = [
     for machine in cover_pairs(LEVELS, _GENERATOR, _MOST)
 ]
 REFUSED = {
-    "a record that is too short": (Machine(records=1, samples=60), "60 samples: cut into 6"),
+    "a record that is too short": (Machine(records=1, samples=60), "60 samples, too few to be cut"),
     "a record that is not a number": (Machine(trait="nan"), "nan (1 such)"),
     "nothing that moves": (Machine(trait="still coordinate"), "nothing moves"),
     "no record to fit to": (Machine(records=1, has_validation=True, samples=60), "60 samples"),
