@@ -234,16 +234,17 @@ def _meaning_of_jumps(
     if c.kind == "angular":
         spans = [
             (turn, make_finding("encoder wraps"), coordinate_line(c.name, "unwrap = true")),
-            (360.0, make_finding("degrees wrap"), coordinate_line(c.name, 'unit = "deg"')),
-            (
-                np.deg2rad(turn),
-                make_finding("radians wrap"),
-                coordinate_line(c.name, 'unit = "rad"'),
+            *(
+                (span, make_finding(code), coordinate_line(c.name, f'unit = "{unit}"'))
+                for span, code, unit in (
+                    (360.0, "degrees wrap", "deg"),
+                    (np.deg2rad(turn), "radians wrap", "rad"),
+                )
+                if block is None or block.unit != unit
             ),
             *spans,
         ]
-    unit = None if block is None else block.unit
-    for span, cause, mend in (s for s in spans if not (unit and s[2].endswith(f'"{unit}"'))):
+    for span, cause, mend in spans:
         jump = abs(span - turn * round(span / turn)) if is_unwrapped else span
         tolerance = max(3 * count, LEVELS.same_jump * jump)
         if jump > max(3 * LEVELS.counts * count, 1e-9) and abs(typical - jump) < tolerance:

@@ -630,7 +630,7 @@ def _numbers(
     if has_dates and numbers.null_count():
         numbers = read_dates(cells)
     if numbers.null_count():
-        if not (cells.fill_null("").str.strip_chars() != "").any():
+        if not _is_filled(cells).any():
             raise InputError(f"{path}, {name}", "empty in every row", "numbers")
         sample = int(np.flatnonzero(numbers.is_null().to_numpy())[0])
         text = (cells[sample] or "").strip()
@@ -648,6 +648,11 @@ def _numbers(
     return numbers.to_numpy()
 
 
+def _is_filled(cells: "pl.Series") -> "pl.Series":
+    """Which cells hold something."""
+    return cells.str.strip_chars().fill_null("") != ""
+
+
 def _of_pair(
     table: "pl.DataFrame",
     column: int,
@@ -658,7 +663,7 @@ def _of_pair(
 ) -> Column:
     """The numbers of a column of a pair, which may end before others; times in s if known."""
     cells = table.to_series(column)
-    filled = np.flatnonzero((cells.str.strip_chars().fill_null("") != "").to_numpy())
+    filled = np.flatnonzero(_is_filled(cells).to_numpy())
     cells = cells.head(int(filled[-1]) + 1 if len(filled) else 0)
     numbers = _numbers(cells, dialect, path, pairs.names[column], rows, has_header=True)
     return numbers if column % 2 or pairs.factor is None else numbers * pairs.factor

@@ -236,20 +236,20 @@ class Choice(Shown):
     def _expectation(self) -> Iterator[Finding]:
         """The error of a new record, and what makes the scores say little of it."""
         rmse, claim, unit = self._rmse, self.claim, self.unit
-        if claim is not None and claim.high > _VAGUE * claim.typical:
-            errors = [*rmse.values()]
-            ends = {"least": min(errors), "most": max(errors)}
-            yield make_finding("expected vaguely", count=len(errors), unit=unit, **ends)
-        elif claim is not None:
-            yield make_finding(
-                "expected",
-                typical=claim.typical,
-                low=claim.low,
-                high=claim.high,
-                tenths=10 * claim.level,
-                unit=unit,
-            )
         if claim is not None:
+            if claim.high > _VAGUE * claim.typical:
+                errors = [*rmse.values()]
+                ends = {"least": min(errors), "most": max(errors)}
+                yield make_finding("expected vaguely", count=len(errors), unit=unit, **ends)
+            else:
+                yield make_finding(
+                    "expected",
+                    typical=claim.typical,
+                    low=claim.low,
+                    high=claim.high,
+                    tenths=10 * claim.level,
+                    unit=unit,
+                )
             mean, _ = mean_and_error(rmse.values())
             if mean > _UNEVEN * claim.typical:
                 by_kind = {kind: expected_range(errors) for kind, errors in self._by_kind.items()}

@@ -129,9 +129,7 @@ def are_cut(records: Sequence[Experiment]) -> bool:
     """Whether records of one or two files are what a card cut these into, row to row."""
     begins = {(e.source, e.first_row) for e in records if e.source and e.first_row}
     follow = [e for e in records if (e.source, e.first_row + len(e)) in begins]
-    return len({e.source for e in records}) <= _PIECES // _FEWEST and 2 * len(follow) >= len(
-        records
-    )
+    return len({e.source for e in records}) < _FEWEST and 2 * len(follow) >= len(records)
 
 
 def names_of(records: Sequence[Experiment]) -> list[str]:

@@ -413,7 +413,7 @@ class CandidateQueue:
 
         Then free runs of whole records say little of any model.
         """
-        if self._is_judged_as_it_can_be or not fit.unexplained:
+        if not fit.unexplained or self._is_judged_as_it_can_be:
             return False
         means = (mean_and_error(rmse.values())[0] for rmse in fit.rmse.values())
         is_lost = not any(mean <= self.context.motion_within_turns for mean in means)

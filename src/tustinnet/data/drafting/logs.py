@@ -501,9 +501,8 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
         relative = np.concatenate([x / np.median(x) for x in map(_rises, columns) if len(x)])
         spread = TO_DEVIATION * float(np.median(np.abs(relative - 1)))
         weight = reading.quantities.get("time", 0.0)
-        if reading.quantity == "counter" or (
-            weight == 0 and (intervals == 1).all() and _are_whole(columns)
-        ):
+        may_count = weight == 0 and bool((intervals == 1).all())
+        if reading.quantity == "counter" or (may_count and _are_whole(columns)):
             others[name] = "counts the samples"
             continue
         is_likely = is_first or name.startswith(NUMBERED)
@@ -515,7 +514,6 @@ def find_clock(logs: Sequence[Log], readings: Mapping[str, NameReading]) -> Cloc
         # of two clocks the first or regular one; else that which begins near 0, and none
         # before another one that may only count the samples
         begins_late = abs(columns[0][0]) > 1e8
-        may_count = weight == 0 and bool((intervals == 1).all())
         points = weight - 2 * min(spread, 1.0) - 0.1 * begins_late - may_count + 0.5 * is_first
         candidates.append((points, name))
         spreads[name] = spread
@@ -586,7 +584,7 @@ def _find_rounded_clock(
     """The period of times that repeat as they have few digits, which a card cannot read."""
     for name in (n for n, r in readings.items() if "time" in r.quantities):
         columns = [log.values[name] for log in logs]
-        steps = np.concatenate([np.diff(column) for column in columns])
+        steps = _steps(columns)
         largest = float(steps.max(initial=0.0))
         lines = [np.linspace(c[0], c[-1], len(c)) for c in columns]
         worst = max(np.abs(c - line).max() for c, line in zip(columns, lines, strict=True))
@@ -611,7 +609,7 @@ def _speaks_of_motion(reading: NameReading) -> bool:
 
 def _intervals(columns: Sequence[Values]) -> Values | None:
     """The intervals of a column that rises, restarts aside; None for another one."""
-    steps = np.concatenate([np.diff(column) for column in columns])
+    steps = _steps(columns)
     if not np.isfinite(steps).all() or not len(steps):
         return None
     rising = steps > 0
@@ -621,6 +619,11 @@ def _intervals(columns: Sequence[Values]) -> Values | None:
     if (~rising).any() and max(map(len, columns)) < _SHORTEST_RECORD:
         return None
     return steps[rising]
+
+
+def _steps(columns: Sequence[Values]) -> Values:
+    """The changes of a column from one sample to the next, in all records."""
+    return np.concatenate([np.diff(column) for column in columns])
 
 
 def _are_whole(columns: Sequence[Values]) -> bool:
@@ -636,7 +639,7 @@ def _rises(column: Values) -> Values:
 
 def _steps_back(columns: Sequence[Values]) -> bool:
     """Whether a column falls a little, as a motion does; a clock that starts again falls far."""
-    steps = np.concatenate([np.diff(column) for column in columns])
+    steps = _steps(columns)
     return bool(((steps < 0) & (steps > -CLOCK.gap * np.median(steps))).any())
 
 
@@ -687,7 +690,7 @@ def _period(intervals: Values) -> tuple[float, float]:
 
 def _time_unit(name: str, reading: NameReading, columns: Sequence[Values]) -> tuple[str, str, bool]:
     """The unit of times, the reason, and whether it is sure."""
-    steps = np.concatenate([np.diff(column) for column in columns])
+    steps = _steps(columns)
     step, first = float(np.median(steps[steps > 0])), float(columns[0][0])
     is_named = reading.unit in TIME and reading.quantity == "time"
     is_whole = _are_whole(columns)

@@ -92,10 +92,7 @@ def describe_coordinate(
         resolution, is_assumed = _length_of_count(column, speed, factor, findings, choice, doubts)
         assumed += ["resolution"] * is_assumed
     in_turn = counts if unit == "counts" else None
-    numbers = findings.numbers[column]
-    # what nothing calls an angle is unwrapped where it jumps by turns alone
-    is_angle = kind == "linear" or "kind" not in assumed or numbers.wrap is not None
-    turn = counts if unit == "counts" else 2 * np.pi / ANGLE.get(unit, np.inf)
+    is_guess = kind == "angular" and "kind" in assumed
     return CoordinateChoice(
         column,
         name,
@@ -107,8 +104,14 @@ def describe_coordinate(
         tuple(because),
         tuple(doubts),
         tuple(assumed),
-        wraps=is_angle or turn is None or numbers.largest_step <= turn / 2,
+        wraps=not is_guess or _jumps_by_turns_alone(findings.numbers[column], unit, counts),
     )
+
+
+def _jumps_by_turns_alone(numbers: Numbers, unit: str, counts: int | None) -> bool:
+    """Whether an angle has no jumps of more than half a turn but those of one that wraps."""
+    turn = counts if unit == "counts" else 2 * np.pi / ANGLE[unit]
+    return numbers.wrap is not None or turn is None or numbers.largest_step <= turn / 2
 
 
 def _doubts(column: str, findings: Findings) -> list[str]:

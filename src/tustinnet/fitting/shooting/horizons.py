@@ -28,7 +28,7 @@ from tustinnet.simulate.horizon import FOLLOWED
 
 _GROWTH = 300.0  # of errors, with sensors without noise: forces that a model lacks grow, too
 _LEAST_GROWTH = 10.0  # that of a fall which goes through upright once may be 50, of a held one any
-_FEWEST_BLOCKS = 2  # blocks: those across which the transient growth is read
+_FEWEST_BLOCKS = 2  # blocks of the shortest horizon: half a swing
 _SMALL = 0.5  # norm of a matrix whose exponential four terms of the series give to 1e-3
 _AT_ONCE = 50_000  # samples whose transitions are in memory together
 
