@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import DT, SYSTEM
-from spoilt_records import BEGIN, END, HAND, SAMPLES, SLOW, records, simulate, write
+from spoilt_records import BEGIN, END, HAND, SAMPLES, records, simulate, write
 from swinging import LAGGING, simulated, swing_model, voltage
 
 import tustinnet as tn
@@ -53,10 +53,7 @@ def test_starts_that_are_expected_elsewhere_leave_no_error_of_a_piece():
 
 
 def test_friction_that_is_not_modelled_is_no_hand(system_file):
-    parts = find_by_model(fit("friction", system_file), records("friction"))
-    assert {(p.record, p.cause) for p in parts} == {(f"run{SLOW}", "friction")}
-    assert "changes its sign with the velocity" in parts[0].reason
-    assert (parts[0].card, parts[0].removable) == ("", False)
+    assert find_by_model(fit("friction", system_file), records("friction")) == []
 
 
 @pytest.mark.thorough

@@ -58,13 +58,13 @@ def test_a_delay_that_nobody_declared_is_found_with_its_error():
     assert timing.lags == ()
     (sentence,) = map(str, timing.findings)
     assert sentence.startswith("input 'voltage' acts with a delay of 0.0")
-    assert " s (1 periods); hold zero-order" in sentence
+    assert " s (1 periods), or less of one before a short lag; hold zero-order" in sentence
     assert all(e.inputs == timing.data[0].inputs for e in timing.data)
 
 
 def test_an_actuator_that_lags_is_no_delay():
     timing = determine_timing(records("zero-order", 0.0, "zero-order", lag=0.06))
-    assert timing.lags == ("voltage",)
+    assert timing.lags == timing.delays == ("voltage",)  # a short delay would look like a lag
     (found,) = timing.data.channels.inputs
     assert found.delay == 0.0
     (sentence,) = map(str, timing.findings)
@@ -108,9 +108,9 @@ def test_a_declared_delay_tells_the_hold_and_what_is_declared_stays():
 
 @pytest.mark.parametrize(
     ("recipe", "known", "expected"),
-    [("paper-standard", 0.0, 0.0), ("grey", None, None), ("grey", 0.0, DT), ("standard", None, DT)],
+    [("paper-standard", 0.0, 0.0), ("grey", None, DT), ("grey", 0.0, DT), ("standard", None, DT)],
 )
-def test_published_recipes_keep_records_and_identifications_unknown_delays(recipe, known, expected):
+def test_published_recipes_keep_records_and_identifications_refine_delays(recipe, known, expected):
     data = records("zero-order", DT, "zero-order", known)
     system = SWING if recipe == "grey" else None
     fit = prepare(FitRequest(data, recipe, system=system))
@@ -139,6 +139,7 @@ def test_where_records_say_nothing_the_usual_timing_is_taken_and_said_where_it_w
     assert quiet.data.channels.inputs[0] == Input("voltage", "V", "zero-order")
     asked = determine_timing(records("zero-order", DT, "unknown", None, samples=40))
     assert asked.data.channels.inputs[0] == Input("voltage", "V", "zero-order")
+    assert (quiet.delays, asked.delays) == ((), ("voltage",))
     (sentence,) = map(str, asked.findings)
     assert "zero-order and no delay taken where they are not known" in sentence
 
@@ -160,3 +161,14 @@ def test_what_was_found_stands_among_the_findings_of_an_identification():
     assert result.model.inputs[0].delay == pytest.approx(DT, abs=0.01 * DT)  # refined
     values = {e.name: e.value for e in result.estimates}
     assert values["gravity"] == pytest.approx(TRUTH["gravity"], rel=0.01)
+
+
+@pytest.mark.thorough
+def test_an_identification_tells_a_delay_from_the_lag_that_hides_it():
+    data = records("zero-order", 0.3 * DT, "zero-order", lag=1.5 * DT)
+    (found,) = determine_timing(data).data.channels.inputs
+    assert found.delay == 0.0  # so little that the records alone need none
+    result = tn.identify(data, LAGGING)
+    assert result.model.inputs[0].delay == pytest.approx(0.3 * DT, abs=0.05 * DT)
+    values = {e.name: e.value for e in result.estimates}
+    assert values["lag"] == pytest.approx(1.5 * DT, rel=0.05)

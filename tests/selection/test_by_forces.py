@@ -170,12 +170,8 @@ def test_values_by_group_are_begun_with_where_the_fold_has_the_group():
         drawn=(split,),
     )
     context = context.with_changes(delays=("torque",))
-    last = make_job_task(
-        [Job("grey", tn.read_recipe("grey"), 0, origin="m", is_final=True)], context
-    )
-    assert last.identification_recipe.model.free == ("torque.delay",)
     task = make_job_task([Job("grey", tn.read_recipe("grey"), 0, origin="m")], context)
-    assert task.identification_recipe.model.free == ()
+    assert task.identification_recipe.model.free == ("torque.delay",)
     begin = task.identification_recipe.model.begin
     assert begin == pytest.approx(
         {

@@ -19,7 +19,7 @@ from tustinnet.finding import Finding, make_finding
 from tustinnet.signals.equilibria import HeldEquilibrium
 from tustinnet.signals.transients import is_slow, rest_thresholds
 
-Cause = Literal["unlogged force", "other conditions", "friction", "unstable phase"]
+Cause = Literal["unlogged force", "other conditions", "unstable phase"]
 
 KEY = "spoiled"  # in headers and summaries
 _REACH = 2  # samples ahead of one of which its derived velocity knows

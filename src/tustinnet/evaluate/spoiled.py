@@ -7,16 +7,15 @@ parameters that suit all other records, and those that suit a record alone, are 
 another fit.
 
 * A stretch with errors far above the usual ones, and above those of all pieces elsewhere, has a
-  force that is not in the log. Where any other is as far off, the model lacks something.
-  Where forces that only follow the sign of the velocity, or its sign at low speeds, explain them,
-  it is friction that the model has otherwise, and no hand.
+  force that is not in the log. Where any other is as far off, the model lacks something; so it
+  does where forces that only follow the sign of the velocity, or its sign at low speeds, explain
+  them: friction, and no hand.
 * A record that its own parameters explain far better than those of the other records was made
   under other conditions, such as another payload. Where the model lacks something, parameters
   depend on the kind of motion; so those of other single records must not explain it either.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
@@ -422,30 +421,22 @@ def _find_stretches(
         is_part = np.maximum(single[i], smooth[i]) > MISFIT.edge * usual
         runs = np.flatnonzero(np.diff(is_part, prepend=False, append=False)).reshape(-1, 2)
         for a, b in runs.tolist():
-            if is_far_off[a:b].any():
-                first = max(0, a * samples - samples // 2)
-                stop = min(len(record), b * samples + samples // 2)
-                size = (
-                    f"short simulations are {single[i][a:b].max() / median:.2g} times as far off "
-                    "as usual"
-                )
-                is_far = single[i][a:b] > MISFIT.edge * usual
-                if _is_friction(with_friction(i).part(slice(a, b)), is_far, changes[i]):
-                    reason = (
-                        f"{size}, by a force that changes its sign with the velocity: friction "
-                        "that the model lacks, or has otherwise"
-                    )
-                    part = spoiled_stretch(record, first, stop, "friction", reason)
-                    parts.append(replace(part, card="", removable=False))
-                    continue
-                # where any other piece is as far off, the model lacks something, in more places
-                others = [*single[:i], single[i][:a], single[i][b:], *single[i + 1 :]]
-                if np.median(single[i][a:b]) > np.concatenate(others).max(initial=0.0):
-                    reason = (
-                        f"{size}: moved by a hand, a contact, or another force that is not in the "
-                        "log?"
-                    )
-                    parts.append(spoiled_stretch(record, first, stop, "unlogged force", reason))
+            if not is_far_off[a:b].any():
+                continue
+            # where any other piece is as far off, the model lacks something, in more places
+            others = [*single[:i], single[i][:a], single[i][b:], *single[i + 1 :]]
+            if np.median(single[i][a:b]) <= np.concatenate(others).max(initial=0.0):
+                continue
+            is_far = single[i][a:b] > MISFIT.edge * usual
+            if _is_friction(with_friction(i).part(slice(a, b)), is_far, changes[i]):
+                continue
+            first = max(0, a * samples - samples // 2)
+            stop = min(len(record), b * samples + samples // 2)
+            reason = (
+                f"short simulations are {single[i][a:b].max() / median:.2g} times as far off as "
+                "usual: moved by a hand, a contact, or another force that is not in the log?"
+            )
+            parts.append(spoiled_stretch(record, first, stop, "unlogged force", reason))
     return parts
 
 

@@ -24,7 +24,7 @@ class PreparedRecords:
         timing: findings on holds and delays, with the evidence.
         left_out: findings on the parts of records that were left out.
         lags: names of the inputs whose actuators lag, or may lag.
-        delays: names of the inputs whose delays were found.
+        delays: names of the inputs whose delays an identification refines.
     """
 
     data: DataSet
@@ -47,7 +47,6 @@ class PreparationOptions:
         system: the system that is given; where none is, or one that is made for the records, a
             mechanism tells what is not explained.
         finds_timing: whether holds and delays are found that no data card declares.
-        keeps_unknown_delays: whether delays that the card calls unknown stay so.
         leaves_out_spoiled: whether parts of records that spoil fits are left out.
         selection_budget: how long the whole selection may take [s], of which the search for parts
             that no model explains takes a fifth at most; None for no limit.
@@ -58,7 +57,6 @@ class PreparationOptions:
 
     system: AnySystem | None = None
     finds_timing: bool = True
-    keeps_unknown_delays: bool = False
     leaves_out_spoiled: bool = False
     selection_budget: float | None = None
     listener: Listener = SILENT
@@ -83,9 +81,7 @@ def prepare_records(data: DataSet, options: PreparationOptions) -> PreparedRecor
         records = replace(records, data=data, left_out=visible)
         options.on_step(_LEFT_OUT)
     if options.finds_timing:
-        timing = determine_timing(
-            records.data, system, keeps_unknown_delays=options.keeps_unknown_delays
-        )
+        timing = determine_timing(records.data, system)
         records = replace(
             records,
             data=timing.data,

@@ -129,7 +129,6 @@ def prepare(request: FitRequest, listener: Listener = SILENT) -> PreparedFit:
     options = PreparationOptions(
         system=task.system,
         finds_timing=model is None and not (recipe.is_by_forces or is_published(recipe)),
-        keeps_unknown_delays=isinstance(recipe, IdentificationRecipe),
         leaves_out_spoiled=request.leaves_out_spoiled,
         listener=listener,
     )

@@ -26,6 +26,7 @@ from tustinnet.systems.loading import load_system_or_template
 
 LAG = "lag"  # the force by name that is the lag of an actuator
 _USUAL: Hold = "zero-order"
+_LATE = ("delay", "lag", "delay and lag", "delay or lag")  # verdicts on an input that acts late
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,8 @@ class Timing:
         data: the records.
         findings: what was found, with its errors.
         lags: names of the inputs whose actuators lag, or may lag.
-        delays: names of the inputs whose delays were found.
+        delays: names of the inputs whose delays an identification refines: of those that act late,
+            be it by a lag, which hides a short delay, and of those that the card calls unknown.
     """
 
     data: DataSet
@@ -45,9 +47,7 @@ class Timing:
     delays: tuple[str, ...] = ()
 
 
-def determine_timing(
-    data: DataSet, system: AnySystem | None = None, *, keeps_unknown_delays: bool = False
-) -> Timing:
+def determine_timing(data: DataSet, system: AnySystem | None = None) -> Timing:
     """Finds the holds and delays that the data card does not declare.
 
     Where records do not tell, an input is held from sample to sample and acts without delay. An
@@ -56,8 +56,6 @@ def determine_timing(
     Args:
         data: the records.
         system: the system that is given, whose declared holds count; None without one.
-        keeps_unknown_delays: whether delays that the card calls unknown stay so, as an
-            identification has them as parameters.
     """
     loaded = None if system is None else load_system_or_template(system)
     system_holds = {i.name: i.hold for i in getattr(loaded, "inputs", ())}
@@ -67,11 +65,7 @@ def determine_timing(
         i if i.hold else replace(i, hold=system_holds.get(i.name)) for i in data.channels.inputs
     ]
     declared = [_declared_timing(i) for i in inputs]
-    stays_open = [keeps_unknown_delays and i.delay is None for i in inputs]
-    is_asked = [
-        k.hold is None or (k.delay is None and not stays)
-        for k, stays in zip(declared, stays_open, strict=True)
-    ]
+    is_asked = [k.hold is None or k.delay is None for k in declared]
     if not any(is_asked):
         return Timing(data, tuple(findings))
     try:
@@ -80,18 +74,20 @@ def determine_timing(
         estimates = None
         if any(i.hold == "unknown" or i.delay is None for i in inputs):
             findings.append(make_finding("timing not found", why=str(error), hold=_USUAL))
-    lags, acting = list[str](), list[Input]()
+    lags, delays, acting = list[str](), list[str](), list[Input]()
     for j, (own, what) in enumerate(zip(inputs, declared, strict=True)):
         one = estimates[j] if estimates else None
         delay = what.delay if one is None or what.delay is not None else _acting_delay(one)
         hold = what.hold or (one.hold if one else _USUAL)
-        acting.append(replace(own, hold=hold, delay=None if stays_open[j] else delay or 0.0))
+        acting.append(replace(own, hold=hold, delay=delay or 0.0))
+        acts_late = one is not None and what.delay is None and one.verdict in _LATE
+        if acts_late or own.delay is None:
+            delays.append(own.name)
         if one and is_asked[j]:
             findings.append(_describe(own.name, one, what, data[0].dt, advises_force=lacks_lag))
             if "lag" in one.verdict:
                 lags.append(own.name)
     experiments = tuple(_with_inputs(e, acting) for e in data)
-    delays = [i.name for i, k in zip(acting, declared, strict=True) if i.delay and not k.delay]
     data = replace(data, experiments=experiments)
     return Timing(data, tuple(findings), tuple(lags), tuple(delays))
 

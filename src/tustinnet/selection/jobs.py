@@ -186,8 +186,7 @@ class RunContext:
         drawn: the splits that jobs are fitted to; None for the folds of the records.
         cutoff: frequency up to which forces of equations of motion are compared beside free runs
             [Hz]; None where they are not.
-        delays: names of the inputs whose delays were found, which an identification from all
-            records has as parameters.
+        delays: names of the inputs whose delays identifications refine.
     """
 
     data: DataSet
@@ -419,7 +418,7 @@ def make_job_task(jobs: Sequence[Job], context: RunContext) -> Task:
         recipe = begin_with(recipe, origin.model, system, context.data)
         train = context.splits[first.fold].roles_for(recipe).train
         recipe = _begin_by_group(recipe, origin.model, train)
-    if first.is_final and isinstance(recipe, IdentificationRecipe) and not recipe.is_by_forces:
+    if isinstance(recipe, IdentificationRecipe) and not recipe.is_by_forces:
         recipe = recipe.with_free(f"{name}.delay" for name in context.delays)
     return Task(recipe, folds, members, system)
 

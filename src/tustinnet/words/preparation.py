@@ -9,7 +9,10 @@ _HOLD = "[[; hold {hold}]][[ ({rivals:or} fits as well)]]"
 
 PREPARATION = {
     "timing none": note("input '{input}' acts without delay" + _HOLD),
-    "timing delay": note(f"input '{{input}}' acts with a delay of {_DELAY}" + _HOLD),
+    "timing delay": note(
+        f"input '{{input}}' acts with a delay of {_DELAY}, or less of one before a short lag"
+        + _HOLD
+    ),
     "timing lag": note(
         f"input '{{input}}' acts through {_LAG}, or less of one after a delay{_FORCE}" + _HOLD
     ),
