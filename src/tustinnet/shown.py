@@ -69,7 +69,9 @@ class Plotted(Shown):
     def plot(self, axes: Any = None) -> Any:
         """Draws it, a panel for each coordinate, and one for the inputs.
 
-        Of a data set the first 5 records are drawn.
+        Of a data set the first 5 records are drawn; of a score the record and the free run; of a
+        fit a free run of its first validation record, or of a training record without these; of a
+        choice one of the first record, from which the model was fitted, too.
 
         Args:
             axes: axes of matplotlib to draw into, one a panel; by default those of a new figure.
@@ -78,6 +80,6 @@ class Plotted(Shown):
             The axes, an array.
 
         Raises:
-            InputError: another number of axes.
+            InputError: another number of axes; a score or a fit without its records.
         """
         return import_module(_PLACE).plot(self, axes)

@@ -93,6 +93,11 @@ def test_results_are_shown_in_a_few_lines(pendulum, folder, system):
     for shown in (result, result.identification, score, validation, report, tn.draft(folder)):
         assert repr(shown).startswith(f"{type(shown).__name__}(")
         assert len(repr(shown)) < 700
+    for drawn in (result.plot(), score.plot()):
+        assert drawn.shape == (2,)
+        assert [line.get_label() for line in drawn[0].lines][-1] == "free run"
+    with pytest.raises(tn.InputError, match="its records"):
+        replace(result, roles=None).plot()
     assert f"rmse={score.rmse:.4g}" in repr(score)
     assert "simulated=array(300, 2)" in repr(score)
     assert "5 scores, mean RMSE" in repr(validation)

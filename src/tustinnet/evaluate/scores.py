@@ -12,7 +12,7 @@ from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.evaluate import metrics
 from tustinnet.models.contract import Model, require_fit, require_float64, with_dtype
-from tustinnet.shown import Shown
+from tustinnet.shown import Plotted
 from tustinnet.simulate.along import states_along
 from tustinnet.simulate.batches import map_in_batches
 from tustinnet.simulate.horizon import horizon_samples, pieces
@@ -22,7 +22,7 @@ from tustinnet.simulate.starts import Start, default_start, start_named, start_s
 
 
 @dataclass(frozen=True, repr=False)
-class Score(Shown):
+class Score(Plotted):
     """The simulation of one record and its errors.
 
     Attributes:
@@ -41,6 +41,7 @@ class Score(Shown):
             whichever is the better one over all records that are scored together, see
             `find_reference`; a model that is no better is worthless. None where it was not
             asked for, or records are too short for it.
+        record: the record itself, None where only its name is known.
     """
 
     experiment: str
@@ -54,6 +55,7 @@ class Score(Shown):
     horizon: float | None = None
     coordinate_rmse_after: tuple[float, ...] = ()
     reference: float | None = None
+    record: Experiment | None = None
 
     def rmse_by_unit(self, channels: Channels) -> dict[str, float]:
         """RMSE of the 2-norm over the coordinates of each unit, by unit."""
@@ -155,6 +157,7 @@ def score_runs(
                     coordinate_rmse_after=tuple(
                         metrics.coordinate_rmse(q[after], measured[after]).tolist()
                     ),
+                    record=e,
                 )
             )
     return scores

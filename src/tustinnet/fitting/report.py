@@ -17,7 +17,7 @@ from tustinnet.fitting.task import Member
 from tustinnet.models.contract import Model
 from tustinnet.models.integrate import Discretised
 from tustinnet.models.lagrangian import LagrangianSystem
-from tustinnet.shown import Shown
+from tustinnet.shown import Plotted, Shown
 
 FINISHED = "finished"
 OUT_OF_TIME = "out of time"  # how the outcome of a fit that was stopped begins
@@ -303,7 +303,7 @@ class Identification(Shown):
 
 
 @dataclass(frozen=True, repr=False)
-class FitResult(Shown):
+class FitResult(Plotted):
     """A fitted model and how it came about.
 
     Attributes:

@@ -2,7 +2,7 @@
 
 from base64 import b64encode
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from functools import singledispatch
 from html import escape
 from io import BytesIO
@@ -19,10 +19,11 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.drafting.draft import Draft
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
-from tustinnet.evaluate.reference import find_reference_if_possible
+from tustinnet.evaluate.reference import evaluate, find_reference_if_possible
 from tustinnet.evaluate.scores import Score
 from tustinnet.finding import Finding
 from tustinnet.fitting.report import FitResult, Identification
+from tustinnet.fitting.roles import records_without_test
 from tustinnet.report.drawing import COLOURS, INPUT, MEASURED, figure_style, plot_line
 from tustinnet.report.fits import parameter_table
 from tustinnet.report.selection import candidates_frame, candidates_table
@@ -68,7 +69,8 @@ def _(shown: FitResult) -> str:
     horizon = "–" if shown.horizon is None else f"{shown.horizon:.3g} s"
     errors = [number(x) for x in (shown.validation_rmse, _reference_rmse(shown))]
     rows = [[shown.recipe.name, str(shown.seed), *errors, horizon, shown.outcome]]
-    columns = ["recipe", "seed", "validation RMSE", _TRIVIAL, "horizon", "outcome", "seconds"]
+    rmse = f"validation RMSE [{shown.model.channels.unit}]"
+    columns = ["recipe", "seed", rmse, _TRIVIAL, "horizon", "outcome", "seconds"]
     table = Table(columns, [[*rows[0], f"{shown.seconds:.1f}"]], f"start '{shown.start}'").html()
     if shown.identification is not None:
         return table + to_html(shown.identification)
@@ -171,7 +173,8 @@ def _(shown: FitResult) -> pl.DataFrame:
 
 @to_frame.register
 def _(shown: Score) -> pl.DataFrame:
-    return pl.DataFrame([shown]).drop("simulated")
+    names = [f.name for f in fields(shown) if f.name not in ("simulated", "record")]
+    return pl.DataFrame([{n: getattr(shown, n) for n in names}])
 
 
 @to_frame.register
@@ -215,6 +218,32 @@ def _(shown: DataSet, axes: Any = None) -> np.ndarray:
     if len(shown) > _MOST_DRAWN:
         panels[0].set_title(f"the first {_MOST_DRAWN} of {len(shown)} records", fontsize=9)
     return panels
+
+
+@plot.register
+def _(shown: Score, axes: Any = None) -> np.ndarray:
+    if shown.record is None:
+        raise InputError("plot", f"a score of '{shown.experiment}' alone", "a score of `evaluate`")
+    panels = plot(shown.record, axes)
+    t = shown.record.t - shown.record.t[0]
+    for j in range(shown.record.channels.n_q):
+        plot_line(panels[j], t, shown.simulated[:, j], color=COLOURS[0], label="free run")
+    panels[0].legend(fontsize=7)
+    return panels
+
+
+@plot.register
+def _(shown: FitResult, axes: Any = None) -> np.ndarray:
+    if shown.roles is None:
+        raise InputError("plot", "a fit within a selection", "a fit that has its records")
+    record = shown.roles.with_long_validation(shown.fewest_samples).ranking[0]
+    return plot(evaluate(shown.model, record, shown.start, horizon=shown.horizon)[0], axes)
+
+
+@plot.register
+def _(shown: Choice, axes: Any = None) -> np.ndarray:
+    record = records_without_test(shown.context.data)[0]
+    return plot(evaluate(shown.model, record, shown.start, horizon=shown.horizon)[0], axes)
 
 
 def _draw(records: Sequence[Experiment], axes: Any) -> np.ndarray:

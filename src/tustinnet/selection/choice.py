@@ -29,7 +29,7 @@ from tustinnet.selection.ranking import (
     CandidateResult,
     paired_difference,
 )
-from tustinnet.shown import Shown
+from tustinnet.shown import Plotted
 from tustinnet.simulate.range import KEY as RANGE
 from tustinnet.simulate.range import TrainingSupport, recorded_range, training_support
 from tustinnet.store.kept_system import CANDIDATES
@@ -41,7 +41,7 @@ _POOR = 0.2  # of the error of the reference, half of the records of a model of 
 
 
 @dataclass(frozen=True)
-class Choice(Shown):
+class Choice(Plotted):
     """The model that a selection chose, and what it was compared with.
 
     Attributes:
