@@ -100,6 +100,6 @@ def find_scales(draft: Draft, folder: Path) -> dict[str, str]:
     evidence = find_scale_of_angles(views)
     return {
         f"{_QUESTIONS[scale.key]} {assumed[names[scale.index]].column}": scale.value
-        for scale in (evidence.scales if evidence and evidence.is_clear else ())
+        for scale in (evidence.scales if evidence else ())
         if names[scale.index] in assumed and scale.key in assumed[names[scale.index]].assumed
     }

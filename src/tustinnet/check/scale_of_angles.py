@@ -48,14 +48,11 @@ class Evidence:
         scales: the scales.
         before: share of the accelerations that the model leaves with the declared ones.
         after: the share that it leaves with these.
-        is_clear: whether the model leaves far more without gravity, too, where a spring or a
-            controller holds the angle.
     """
 
     scales: tuple[ScaleOfAngle, ...]
     before: float
     after: float
-    is_clear: bool
 
 
 def scale_of_angles(views: Sequence[RecordView]) -> Iterator[Finding]:
@@ -72,8 +69,7 @@ def scale_of_angles(views: Sequence[RecordView]) -> Iterator[Finding]:
             "angle unit" if is_unit else "angle scale",
             coordinate_line(name, f"{scale.key} = {value}"),
             name,
-            severity="severe" if is_unit and evidence.is_clear else "warning",
-            is_doubtful=not evidence.is_clear,
+            severity="severe" if is_unit else "warning",
             extent=extent,
             factor=scale.factor,
             after=evidence.after,
@@ -89,11 +85,11 @@ def find_scale_of_angles(views: Sequence[RecordView]) -> Evidence | None:
         views: records of a machine.
     """
     some = views[:: max(1, len(views) // _RECORDS)][:_RECORDS]
-    free = make_regressors(some)
-    if free is None:
+    regressors = make_regressors(some)
+    if regressors is None:
         return None
-    n_q = free.channels.n_q
-    regressors = replace(free, held=np.ones(n_q, bool))
+    n_q = regressors.channels.n_q
+    regressors = replace(regressors, held=np.ones(n_q, bool))
 
     def share(scales: Sequence[ScaleOfAngle]) -> float:
         factors = np.ones(n_q)
@@ -101,8 +97,8 @@ def find_scale_of_angles(views: Sequence[RecordView]) -> Evidence | None:
         scaled = replace(regressors, creep=regressors.creep * factors)
         return unexplained_share(scaled, some, factors)
 
-    unheld = unexplained_share(free, some, np.ones(n_q))
-    if unheld < LEVELS.least_by_scale:
+    before = share(())
+    if before < LEVELS.least_by_scale:
         return None
     alone = [s for j in range(n_q) for s in _other_scales(some, j)]
     groups = [tuple(s for s in alone if s.value == unit) for unit in _UNITS]
@@ -112,10 +108,8 @@ def find_scale_of_angles(views: Sequence[RecordView]) -> Evidence | None:
         shares, key=lambda t: shares[t] / (LEVELS.drop_by_scale if len(t) > 1 else 1), default=()
     )
     after = shares.get(chosen, 1.0)
-    for before, is_clear in ((share(()), True), (unheld, False)):
-        if after < min(LEVELS.drop_by_scale * before, before - LEVELS.least_by_scale):
-            return Evidence(chosen, before, after, is_clear)
-    return None
+    clear = min(LEVELS.drop_by_scale * before, before - LEVELS.least_by_scale)
+    return Evidence(chosen, before, after) if after < clear else None
 
 
 def _other_scales(views: Sequence[RecordView], j: int) -> Iterator[ScaleOfAngle]:

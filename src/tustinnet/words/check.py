@@ -31,8 +31,7 @@ CHECK = {
         size="another unit, or sampled too slowly?",
     ),
     "angle unit": severe(
-        "{channel} moves like an angle in another unit than declared"
-        "[[{is_doubtful}, or one that a spring or a controller holds]]",
+        "{channel} moves like an angle in another unit than declared",
         size="its range is {extent:.3g} rad; with angles {factor:.3g} times as large the model "
         "leaves {after:.2%} of the accelerations, not {before:.2%}",
     ),
