@@ -497,6 +497,15 @@ def test_a_derivative_is_the_velocity_of_the_position_in_its_name() -> None:
     assert "position" in read_name("tacho position").quantities
 
 
+def test_that_nothing_else_could_be_the_motion_makes_an_acceleration_no_position(
+    tmp_path: Path,
+) -> None:
+    made = draft(tmp_path, {"pwm": levels(1), "accY": moved_by(levels(1))[0]})
+    assert uses(made)["accY"] == "coordinate"
+    asked = [q.text for q in made.choice.questions]
+    assert "what is 'accY': position, or acceleration (as its name says)?" in asked
+
+
 def test_clear_columns_are_no_question(tmp_path: Path) -> None:
     u = levels(11)
     x, v = moved_by(u)

@@ -340,13 +340,15 @@ class Assignment:
             partner = t.names[other]
             reasons.append((float(points[other]), text.format(partner)))
         ordered = sorted((r for r in reasons if r[0] > 0), key=lambda r: -r[0])
-        is_used = int(self.uses(self.roles)[i]) in (_POSITION, _INPUT)
+        use = int(self.uses(self.roles)[i])
+        # that nothing else could be the motion is no reason; an input shows by what it moves
+        named = t.contradicting(i, ROLES[role]) if use == _POSITION else None
         return Verdict(
             ROLES[role],
             tuple(dict.fromkeys(r[1] for r in ordered)) or (NO_REASON,),
-            ROLES[self.rivals[family]],
-            self.margins[family],
-            WEIGHTS.near_of_used if is_used else WEIGHTS.near,
+            named or ROLES[self.rivals[family]],
+            0.0 if named else self.margins[family],
+            WEIGHTS.near_of_used if use in (_POSITION, _INPUT) else WEIGHTS.near,
             partner,
         )
 

@@ -113,7 +113,8 @@ def _ask_for_roles(findings: Findings, choice: Choice) -> None:
             families.setdefault((verdict.role, verdict.rival, verdict.margin), []).append(name)
     for (role, rival, margin), names in families.items():
         more = f" (and {', '.join(repr(n) for n in names[1:])})" if len(names) > 1 else ""
-        text = f"what is '{names[0]}'{more}: {role}, or {rival} ({margin:.1f} points less)?"
+        why = f"{margin:.1f} points less" if margin else "as its name says"
+        text = f"what is '{names[0]}'{more}: {role}, or {rival} ({why})?"
         assumption = str(role) if role in ROLE_BY_ANSWER else "none"
         choice.questions.append(
             Question(f"role {names[0]}", text, assumption, tuple(ROLE_BY_ANSWER))

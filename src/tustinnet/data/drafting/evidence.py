@@ -371,6 +371,14 @@ class EvidenceTable:
         quantity = self.readings[column].quantity
         return quantity is not None and _ROLE_OF[quantity] == role
 
+    def contradicting(self, column: int, role: Role) -> Role | None:
+        """Another role that the name of a column states, None where it states none."""
+        reading = self.readings[column]
+        quantity = reading.quantity
+        if quantity is None or reading.qualifier == "command" or not reading.stated([quantity]):
+            return None
+        return _ROLE_OF[quantity] if _ROLE_OF[quantity] != role else None
+
     @np.errstate(all="ignore")  # of columns that stand still in the samples that are compared
     def _add_circles(self, records: Sequence[Table]) -> None:
         """Evidence on two directions of a point on a circle.

@@ -295,7 +295,9 @@ def _unit_by_size(
         because.append(reason)
         return unit
     doubts.append(f"the unit: {reason}" + ("" if kind else ", if it is an angle"))
-    text = f"unit of the position '{column}' (range {range_text(numbers)})"
+    is_said = findings.readings[column].stated(["position"])
+    what = "" if is_said else ", if it is a position and no speed"
+    text = f"unit of the position '{column}' (range {range_text(numbers)}){what}"
     choice.questions.append(Question(f"unit {column}", text, unit, _UNITS_TO_CHOOSE))
     return unit
 
