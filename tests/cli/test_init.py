@@ -101,6 +101,7 @@ REFUSED = {
     "text": (lambda p: [p / "a.csv"], "no column of numbers"),
     "only times": (lambda p: [p / "t.csv"], "no column besides the times"),
     "nothing moves": (lambda p: [p / "still.csv"], "no column could be a position"),
+    "a sensor flickers": (lambda p: [p / "flicker.csv"], "between three values at most"),
 }
 
 
@@ -115,6 +116,8 @@ def test_logs_without_a_position_are_refused(case, tmp_path, capsys):
         times = 0.01 * np.arange(100)
         pl.DataFrame({"time": times}).write_csv(folder / "t.csv")
         pl.DataFrame({"time": times, "a": np.ones(100)}).write_csv(folder / "still.csv")
+        angle = 0.1 * np.random.default_rng(0).integers(0, 3, 100)
+        pl.DataFrame({"time": times, "angle": angle}).write_csv(folder / "flicker.csv")
     before = sorted(folder.iterdir())
     code, out, err = tustinnet(capsys, "init", *arguments(folder))
     assert (code, out) == (1, "")

@@ -80,6 +80,7 @@ def test_words_and_units_of_names_speak_for_roles_and_against_others() -> None:
         ("Sollposition", "set point"),
         ("reward", "other"),
         ("q_d", "set point"),
+        ("Anregung [mm]", "input"),
     ):
         of = points(name)
         assert max(of, key=lambda r: of[r]) == role, name
@@ -148,7 +149,7 @@ def test_the_cause_comes_before_the_effect(tmp_path: Path) -> None:
     x, _ = moved_by(u)
     made = draft(tmp_path, {"V1": u, "V2": x}, clock="")
     assert uses(made) == {"V1": "input", "V2": "coordinate"}
-    assert "it moves 'V2'" in made.text
+    assert "it foretells 'V2'" in made.text
 
 
 def test_a_p_behind_a_symbol_may_be_a_dash(tmp_path: Path) -> None:
@@ -450,6 +451,12 @@ def test_copies_and_filtered_values_are_used_once(tmp_path: Path) -> None:
         "u_cmd": "input",
     }
     assert made.choice.unused["u"] == "proportional to the input 'u_cmd'"
+
+
+def test_a_torque_that_a_controller_makes_of_a_position_is_no_copy_of_it(tmp_path: Path) -> None:
+    x, _ = moved_by(levels(7))
+    made = draft(tmp_path, {"pos_deg": x.round(3), "torque_Nm": -14 * x.round(3)})
+    assert uses(made) == {"pos_deg": "coordinate", "torque_Nm": "input"}
 
 
 def test_a_velocity_of_no_position_is_not_used(tmp_path: Path) -> None:
@@ -920,7 +927,7 @@ def test_a_position_that_nothing_moves_and_that_moves_another_one_is_an_input(
     body, _ = moved_by(road)
     made = draft(tmp_path, {"road (mm)": 100 * road, "body (mm)": 100 * body})
     assert uses(made) == {"road (mm)": "input", "body (mm)": "coordinate"}
-    assert "nothing moves it, and it moves 'body (mm)'" in made.text
+    assert "nothing foretells it, and it foretells 'body (mm)'" in made.text
 
 
 def test_a_function_of_a_position_is_not_moved_by_it(tmp_path: Path) -> None:

@@ -382,6 +382,21 @@ def test_rows_of_several_motors_in_turn_are_columns_of_each(
     assert draft_card(tmp_path, ["log.csv"]).dt == pytest.approx(0.02)
 
 
+def test_the_times_of_a_long_table_may_stand_anywhere_and_other_words_beside_them(
+    tmp_path: Path,
+) -> None:
+    lines = [
+        f"{'rise' if k < 20 else 'hold'},{joint},{np.sin(0.1 * k):.6f},{0.1 * k:.1f}"
+        for k in range(40)
+        for joint in ("hip", "knee")
+    ]
+    (tmp_path / "log.csv").write_text("phase,joint,angle_rad,stamp\n" + "\n".join(lines))
+    columns = read_columns(tmp_path / "log.csv")
+    assert columns.names == ("stamp", "hip", "knee")
+    assert columns.others == {"phase": "texts"}
+    np.testing.assert_allclose(columns["stamp"], 0.1 * np.arange(40))
+
+
 def test_a_table_with_a_state_in_words_stays_as_it_is(tmp_path: Path) -> None:
     lines = [f"{k},{'up' if k % 40 < 20 else 'down'},{k * k}" for k in range(200)]
     (tmp_path / "log.csv").write_text("t,state,x\n" + "\n".join(lines))

@@ -206,6 +206,10 @@ def _moved_by_hand(e: Experiment) -> list[SpoiledPart]:
         after = np.flatnonzero(is_moving[s : max(s, b - _REACH)])
         if not len(after):
             continue
+        # one that begins slowly has left its rest then, however small it is
+        begin = np.ptp(e.u[s : s + after[0] + 1], axis=0)
+        if np.any(begin > 2 * np.ptp(e.u[r:s], axis=0)):
+            continue
         is_release = r == 0 and np.any(np.abs(e.q[r] - thresholds.resting) > thresholds.excursion)
         first, stop = (0, s) if is_release else (s - needed // 2, b)
         what = "is held, and let go" if is_release else "moves"

@@ -199,11 +199,12 @@ def _spread_if_long(
         for n, cell in zip(names, _texts(table, header_rows), strict=True)
         if not (dialect.is_number(cell) or is_date(cell))
     ]
-    texts = texts or [name for name in names[1:] if _ID.search(name)]
-    if len(texts) != 1:
-        return None
-    cells = table.slice(header_rows).to_series(names.index(texts[0])).str.strip_chars()
-    return spread_signals(columns, cells.fill_null("").to_list(), texts[0])
+    for label in texts or [name for name in names[1:] if _ID.search(name)]:
+        cells = table.slice(header_rows).to_series(names.index(label)).str.strip_chars()
+        spread = spread_signals(columns, cells.fill_null("").to_list(), label, texts)
+        if spread is not None:
+            return spread
+    return None
 
 
 def _split_if_merged(

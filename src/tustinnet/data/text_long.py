@@ -15,36 +15,46 @@ _MOST_SIGNALS, _FEWEST_VALUES = 60, 10
 _TURNS = 0.9  # of the rows are of another signal than the row before, where signals take turns
 
 
-def spread_signals(columns: Columns, names: Sequence[str], label: str) -> Columns | None:
+def spread_signals(
+    columns: Columns, names: Sequence[str], label: str, texts: Sequence[str]
+) -> Columns | None:
     """The columns of a long table by signal, None of another table.
 
     Signals of the same times share a column of times; others have one of their own. With several
     values in a row, columns are called by the signal and the value, as `elbow/position`.
 
     Args:
-        columns: the table; but for the labels its first column has the times.
+        columns: the table.
         names: the signal of each row.
         label: name of the column that says it.
+        texts: all columns of texts, which have no values.
     """
     signals, which = np.unique(np.asarray(names, str), return_inverse=True)
-    time, *values = (name for name in columns.names if name != label)
+    numbers = [name for name in columns.names if name not in (label, *texts)]
     counts = np.bincount(which)
     is_long = 2 <= len(signals) <= _MOST_SIGNALS and counts.min() >= _FEWEST_VALUES
-    if not is_long or not values or time in signals or "" in signals:
+    if not is_long or len(numbers) < 2 or {*numbers, ""} & {*signals}:
         return None
     try:
-        columns.fetch([time, *values])
+        columns.fetch(numbers)
     except InputError:  # another text
         return None
-    t = columns[time]
-    repeated = 1 - len(np.unique(t)) / len(t)
+    rows = [which == k for k in range(len(signals))]
     takes_turns = float(np.mean(np.diff(which) != 0)) > _TURNS
     # mostly other rows have the time of a row, too
-    shares = repeated >= min(0.5, 0.9 * (1 - 1 / len(signals)))
-    rising = all((np.diff(t[which == k]) > 0).all() for k in range(len(signals)))
-    if not rising or not (shares or takes_turns):
+    most = 1 - min(0.5, 0.9 * (1 - 1 / len(signals)))
+    time = next(
+        (
+            name
+            for name in numbers
+            if (takes_turns or len(np.unique(columns[name])) <= most * len(which))
+            and all((np.diff(columns[name][row]) > 0).all() for row in rows)
+        ),
+        None,
+    )
+    if time is None:
         return None
-    rows = [which == k for k in range(len(signals))]
+    t, values = columns[time], [name for name in numbers if name != time]
     order = sorted(range(len(signals)), key=lambda k: int(np.argmax(rows[k])))
     is_common = all(np.array_equal(t[rows[0]], t[row]) for row in rows)
     columns_by_name: dict[str, Column] = {time: t[rows[0]]} if is_common else {}
@@ -65,6 +75,7 @@ def spread_signals(columns: Columns, names: Sequence[str], label: str) -> Column
         tuple(columns_by_name),
         lambda names: [columns_by_name[name] for name in names],
         notes=(*columns.notes, f"a row for each value: columns by '{label}'"),
+        others={name: "texts" for name in texts if name != label},
         clocks=clocks,
         units=units,
     )

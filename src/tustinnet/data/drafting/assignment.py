@@ -327,7 +327,7 @@ class Assignment:
         points, others, text = {
             _VELOCITY: (t.slope[:, i], [pairs[i]] if i in pairs else [], "slope of '{}'"),
             _ACCELERATION: (t.slope[:, i], velocities, "slope of '{}'"),
-            _INPUT: (t.cause[i], positions or velocities, "it moves '{}'"),
+            _INPUT: (t.cause[i], positions or velocities, "it foretells '{}'"),
             _SET_POINT: (t.follow[i], [*positions, *velocities], "'{}' follows it, one to one"),
         }.get(role, (t.slope[i], [], ""))
         # of several joints that of its own name or number

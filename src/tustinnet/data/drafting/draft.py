@@ -128,10 +128,12 @@ class Draft(Shown):
             )
         if not self.choice.coordinates:
             roles = ", ".join(f"'{c.name}' ({c.role})" for c in self.columns)
-            raise InputError(folder, f"no column could be a position: {roles}", "positions")
+            problem = f"no column could be a position: {roles}"
+            raise InputError(folder, problem, "positions that move")
         if not self.is_readable:
             expected = "records of finite numbers in which positions move"
-            raise InputError(folder, self.notes[-1], expected)
+            left_out = [note for note in self.notes if note.startswith("left out: ")]
+            raise InputError(folder, (left_out or self.notes)[-1], expected)
 
     @property
     def typical(self) -> Piece:
@@ -435,7 +437,7 @@ def _usable_pieces(
     used = [*choice.motion, *(i.column for i in choice.inputs)]
     usable: list[Piece] = []
     for piece in pieces:
-        place = piece.log.place
+        place = piece.place
         finite = np.isfinite(piece.t) & np.append(np.diff(piece.t) > 0, True)
         for name in used:
             finite &= np.isfinite(piece.column(name))
@@ -452,8 +454,9 @@ def _usable_pieces(
                 + counted(len(finite) - len(rows), "row")
             )
             piece = piece.part(int(rows[0]), int(rows[-1]) + 1, "rows lack numbers or times")
-        if coordinates and not any(np.ptp(piece.column(name)) for name in coordinates):
-            on_message(f"left out: {place}: nothing moves")
+        # a sensor at rest flickers between neighbouring values
+        if coordinates and all(len(np.unique(piece.column(c))) <= 3 for c in coordinates):
+            on_message(f"left out: {place}: nothing moves, or between three values at most")
         else:
             usable.append(piece)
     return usable

@@ -68,6 +68,8 @@ _STAGE_OF: dict[Quantity, Stage] = {
     "current": "current",
     "pressure": "pressure",
 }
+_MOTION: tuple[Quantity, ...] = ("position", "velocity")
+_DRIVES: tuple[Quantity, ...] = ("torque", "force", "current")
 # SI units in units of speeds, of angles and of lengths
 ANGULAR_SPEEDS = {**{f"{u}/s": f for u, f in ANGLE.items()}, "rpm": 2 * np.pi / 60}
 LINEAR_SPEEDS = {**{f"{u}/s": f for u, f in LENGTH.items()}, "km/h": 1 / 3.6}
@@ -232,7 +234,7 @@ def shape_evidence(numbers: Numbers, reading: NameReading) -> list[Evidence]:
     w = WEIGHTS
     may_rest = numbers.binary or reading.stated(["voltage", "pressure"])
     if may_rest and numbers.is_nearly_constant:
-        return [Evidence("other", 2 * w.useless, "nearly constant, as a supply or the air")]
+        return [Evidence("other", 2 * w.useless, "nearly constant")]
     if numbers.binary and reading.stated(["flag"]):
         return [Evidence("other", 2 * w.useless, "a flag by its name")]
     if numbers.binary:
@@ -313,6 +315,13 @@ class EvidenceTable:
         for own, is_silent in zip(self.own, self.is_silent, strict=True):
             own += [Evidence("position", -WEIGHTS.against, "")] if is_silent else []
         factors = find_copies(records, [numbers[n].count or 0.0 for n in readings])
+        # a torque that a controller makes of a position is none in another unit
+        are_motion, are_drives = (
+            np.array([bool(r.stated(some)) and not r.stated(others) for r in self.readings])
+            for some, others in itertools.permutations((_MOTION, _DRIVES))
+        )
+        is_law = np.outer(are_motion, are_drives)
+        factors = np.where(is_law | is_law.T, 0.0, factors)
         # a set point is not what follows it
         kinds = [(r.quantity, r.qualifier == "command") for r in self.readings]
         are_alike = [[a == b and a[0] in ("position", "velocity") for a in kinds] for b in kinds]
@@ -546,7 +555,7 @@ class EvidenceTable:
         for i in np.flatnonzero(self.is_free).tolist():
             j = int(np.argmax(np.where(moves[i], push[i], 0.0)))
             role: Role = "set point" if leads[i, j] else "input"
-            text = f"nothing moves it, and it moves '{self.names[j]}'"
+            text = f"nothing foretells it, and it foretells '{self.names[j]}'"
             self.own[i].append(Evidence(role, w.useless, text))
             self.own[i].append(Evidence("position", -w.useless, ""))
 

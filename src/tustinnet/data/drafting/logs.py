@@ -190,6 +190,12 @@ class Piece:
         return self.rows == (0, len(self.log))
 
     @property
+    def place(self) -> str:
+        """Its log, and which samples of it, in words."""
+        first, stop = self.rows
+        return self.log.place + ("" if self.whole else f", samples {first + 1} to {stop}")
+
+    @property
     def seconds(self) -> float:
         """Its duration [s]."""
         return float(self.t[-1] - self.t[0]) if len(self.t) > 1 else 0.0
@@ -591,7 +597,7 @@ def _find_rounded_clock(
         if not (steps >= 0).all() or not worst > 0:
             continue
         unit, _, sure = _time_unit(name, readings[name], columns)
-        interval, reason = np.mean(steps), "times of too few digits: their mean interval"
+        interval, reason = np.mean(steps), "times that repeat: their mean interval"
         if worst > 2 * largest:
             interval, reason = (
                 np.median(steps[steps > 0]),

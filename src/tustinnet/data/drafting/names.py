@@ -196,7 +196,9 @@ def read_name(name: str, file_unit: str = "") -> NameReading:
     if unit_quantity == "position" and (rate := _stated_rate(quantities, word)):
         unit_quantity = rate  # `x_dot_cm` has the unit of its position, per second
         unit += "/s" if rate == "velocity" else "/s^2"
-    if unit_quantity is not None:
+    # `excitation [mm]`: what it is for says more than its unit
+    is_control = unit_quantity == "position" and quantities.get("control", 0.0) >= _STATED
+    if unit_quantity is not None and not is_control:
         surely = in_brackets or unit_quantity in _RATES
         quantities[unit_quantity] = max(quantities.get(unit_quantity, 0.0), 6.0 if surely else 5.0)
         word[unit_quantity] = f"[{unit}]"
