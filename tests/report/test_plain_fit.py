@@ -32,7 +32,10 @@ def test_the_library_and_the_command_choose_the_same(folder, tmp_path, monkeypat
     assert [c["starts"] for c in choice.as_plain()["candidates"]] == starts
     files = [place / "model.safetensors" for place in (out, tmp_path / "python")]
     assert {model_digest(tn.load_model(file)) for file in files} == {model_digest(choice.model)}
+    tables = [(place / "candidates.md").read_text() for place in (out, tmp_path / "python")]
+    assert all("chosen: network" in table for table in tables)
     assert repr(choice).startswith("Choice('network', RMSE 0.")
+    assert choice.plot().shape == (2,)
     frame = choice.to_frame()
     network, reference = frame.rows(named=True)
     assert (network["name"], network["is_chosen"], network["records"]) == ("network", True, 5)

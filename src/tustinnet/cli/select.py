@@ -137,12 +137,7 @@ def print_next_steps(choice: "choices.Choice", data: str) -> None:
 def draw_choice(choice: "choices.Choice") -> None:
     """Writes the table of candidates with findings, their figure, and some free runs."""
     folder = choice.context.folder
-    findings = "".join(f"* {finding}\n" for finding in choice.findings)
-    disk.write_into(
-        folder,
-        run_folder.TABLE,
-        f"{selection_report.candidates_table(choice).markdown()}\n{findings}",
-    )
+    selection_report.write_table(choice)
     drawing.write_figure(
         selection_report.candidates_figure(choice), folder, "figures/candidates.png"
     )

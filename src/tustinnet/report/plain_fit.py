@@ -19,6 +19,7 @@ from tustinnet.fitting.roles import require_data_set
 from tustinnet.fitting.task import AnyRecipe, Member
 from tustinnet.models.contract import Model, warn_of_single_precision
 from tustinnet.report.progress import FitProgress
+from tustinnet.report.selection import write_table
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.select import USUAL_BUDGET, Reporter, SelectionOptions, select_model
 from tustinnet.systems.files import AnySystem
@@ -88,7 +89,7 @@ def fit(
         listener: with a recipe: functions that are called while the fit goes on, see `Listener`;
             nothing is printed then.
         budget: without a recipe: how long it may take [s], 240 by default, infinite for no limit.
-        folder: without a recipe: where all models, tables and logs are kept; by default nowhere.
+        folder: without a recipe: where all models, the table and logs are kept; by default nowhere.
         quiet: whether nothing is printed.
 
     Returns:
@@ -121,7 +122,9 @@ def fit(
     if folder is None:
         with TemporaryDirectory(prefix="tustinnet-") as place:
             return _select(data, Path(place), options, quiet=quiet)
-    return _select(data, Path(folder), options, quiet=quiet)
+    choice = _select(data, Path(folder), options, quiet=quiet)
+    write_table(choice)
+    return choice
 
 
 def _select(data: DataSet, folder: Path, options: SelectionOptions, *, quiet: bool) -> Choice:

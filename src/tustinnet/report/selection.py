@@ -12,6 +12,8 @@ from tustinnet.report.shown_records import choose_shown_records
 from tustinnet.report.tables import Table, norm_words, number, scale_of
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.ranking import CandidateResult, paired_difference
+from tustinnet.store.files import write_into
+from tustinnet.store.run_folder import TABLE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,6 +48,12 @@ def candidates_frame(choice: Choice) -> pl.DataFrame:
         label = f"({choice.reference.label})"
         rows.append({"name": label, "is_chosen": False, "rmse": mean, "standard_error": error})
     return pl.DataFrame(rows, infer_schema_length=None)
+
+
+def write_table(choice: Choice) -> None:
+    """Writes the table of the candidates with the findings into the folder of a choice."""
+    findings = "".join(f"* {finding}\n" for finding in choice.findings)
+    write_into(choice.context.folder, TABLE, f"{candidates_table(choice).markdown()}\n{findings}")
 
 
 def candidates_table(choice: Choice) -> Table:
