@@ -130,11 +130,13 @@ def test_files_that_disagree_or_cannot_apply_leave_the_usual_start(model, folder
     for name, changes in {
         "no-velocities": {"start": "file"},
         "too-long": {"start": "derived-9999"},
-        "longer-than-records": {"horizon": 1e3},
         "silent": {"start": None},
     }.items():
         told, _ = printed(capsys, "evaluate", judged(model, name, **changes), folder)
         assert (told["start"], told["horizon"]) == ("model-20", None), name
+    longer = judged(model, "longer-than-records", horizon=1e3)
+    told, _ = printed(capsys, "evaluate", longer, folder)
+    assert (told["start"], told["horizon"]) == ("derived-6", None)  # the start applies
 
 
 def test_a_damaged_judgement_is_one_line(model, folder, capsys):
