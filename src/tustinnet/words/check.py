@@ -133,7 +133,7 @@ CHECK = {
         "{channel} moves in no record", size="{value:.4g} {unit} in all {samples:sample}"
     ),
     "same sensor": warning(
-        "{other} and {channel} are one signal",
+        "{other} and {channel} move as one: one sensor, or joints that never move apart?",
         size="{channel} is {gain:.4g} times the other within {error:.2g} {unit}",
     ),
     "assumed": note(
