@@ -920,14 +920,12 @@ def test_of_two_positions_and_their_difference_two_are_coordinates(tmp_path: Pat
     assert "the sum or difference" in made.choice.unused["stroke (m)"]
 
 
-def test_a_position_that_nothing_moves_and_that_moves_another_one_is_an_input(
-    tmp_path: Path,
-) -> None:
+def test_a_position_that_may_move_another_one_is_a_question(tmp_path: Path) -> None:
     road = np.convolve(levels(23, 20), np.ones(8) / 8, "same") / 50
     body, _ = moved_by(road)
     made = draft(tmp_path, {"road (mm)": 100 * road, "body (mm)": 100 * body})
-    assert uses(made) == {"road (mm)": "input", "body (mm)": "coordinate"}
-    assert "nothing foretells it, and it foretells 'body (mm)'" in made.text
+    assert uses(made) == {"road (mm)": "coordinate", "body (mm)": "coordinate"}
+    assert [q.text.partition("(")[0] for q in made.questions][:1] == ["what is 'road "]
 
 
 def test_a_function_of_a_position_is_not_moved_by_it(tmp_path: Path) -> None:

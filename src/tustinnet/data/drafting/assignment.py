@@ -72,7 +72,7 @@ class _Prices:
     def __init__(self, t: EvidenceTable) -> None:
         w, columns = WEIGHTS, range(len(t.names))
         positions = np.array([t.says(i, "position") for i in columns])
-        inputs = np.array([t.says(i, "input") for i in columns]) | t.is_free
+        inputs = np.array([t.says(i, "input") for i in columns])
         plain = np.array([r.qualifier in (None, "measured") for r in t.readings])
         are_of_block = np.zeros((len(columns), len(columns)), bool)
         for block in t.blocks:
@@ -85,14 +85,12 @@ class _Prices:
         rates = np.where(are_of_block, 0.0, np.maximum(0.0, np.maximum(t.slope, t.slope.T)))
         self.positions = rates + share * t.repeats
         self.velocities = np.where(are_of_block, 0.25, 1.0) * t.repeats
-        # the rate of a base's motion is neither another input nor a motion of the machine
-        of_free = rates * (t.is_free | t.is_free[:, None])
-        self.motion = np.where(inputs[:, None], of_free, t.repeats)
+        self.motion = np.where(inputs[:, None], 0.0, t.repeats)
         is_copy = t.repeats > 0
         family = np.array(t.family)
         # as of several propellers, which balance one another
         is_same = (family[:, None] == family) & inputs
-        self.inputs = np.where(is_same, 0.0, np.where(is_copy, t.repeats + 0.5 * w.copy, of_free))
+        self.inputs = np.where(is_same, 0.0, np.where(is_copy, t.repeats + 0.5 * w.copy, 0.0))
         for prices in (self.positions, self.velocities, self.motion):
             prices[t.is_copy] = 3 * w.copy  # whatever their names say
         for prices in (self.positions, self.velocities, self.inputs):
@@ -100,7 +98,7 @@ class _Prices:
         related = is_copy | (t.slope > 0) | (t.follow > 0)
         self.are_related = related | related.T
         # a current at one joint is no effect of the force at another one, nor of a hand's
-        is_other = t.is_free | [bool(OUTSIDE & {*r.words}) for r in t.readings]
+        is_other = [bool(OUTSIDE & {*r.words}) for r in t.readings]
         sizes = Counter(t.family)
         is_of_many = [sizes[f] > 1 and t.joint[i] is not None for i, f in enumerate(t.family)]
         joints = {joint for joint in t.joint if joint is not None}

@@ -129,8 +129,6 @@ class Weights:
             of a copy, and for one and a half.
         circle: deviation of a radius, relative to it.
         small: control error in the last quarter of a record, by the size of what is controlled.
-        moved: points of a cause, from which on a position moves another one.
-        unmoved: points of a cause, below which nothing moves a position.
         clear_slope: points, from which on a column is the derivative of another one.
     """
 
@@ -170,8 +168,6 @@ class Weights:
     copies: tuple[float, float] = (0.7, 0.9)
     circle: float = 0.03
     small: float = 0.5
-    moved: float = 2.0
-    unmoved: float = 1.0
     clear_slope: float = 3.0
 
 
@@ -287,7 +283,6 @@ class EvidenceTable:
         is_on_circle: whether two are the directions of a point on a circle.
         is_nameless: whether a name says nothing at all.
         is_silent: whether a name says nothing where another one states a motion.
-        is_free: whether a position moves others and is moved by nothing.
         blocks: of columns without names, positions and their velocities, see `find_blocks`.
         family: the family of each column; those of one family have one role.
         stage: the stage of a drive of which a column speaks.
@@ -352,8 +347,7 @@ class EvidenceTable:
         fit, late = find_followers(records)
         self.repeats = _repeat_prices(records, fit)
         self.follow = self._follow_points(fit, late)
-        gains, moves_at_once = find_causes(records)
-        push = np.minimum(WEIGHTS.cause, 2 * np.log10(1 + 100 * gains))
+        push = np.minimum(WEIGHTS.cause, 2 * np.log10(1 + 100 * find_causes(records)))
         self.cause = push - WEIGHTS.back * push.T
         self.is_on_circle = np.zeros_like(self.is_copy)
         self._add_circles(records)
@@ -364,7 +358,6 @@ class EvidenceTable:
         self._add_nameless(records)
         self._add_commanded_rates()
         self._add_tool()
-        self._add_free_motions(push, moves_at_once)
         self.points = self._sum_points()
         self.stage = [stage_of(r) for r in self.readings]
         self.joint = find_joints(self.readings)
@@ -528,36 +521,6 @@ class EvidenceTable:
         for i, j in np.argwhere(is_rate).tolist():
             text = f"slope of the set point '{self.names[i]}'"
             self.own[j].append(Evidence("other", WEIGHTS.useless, text))
-
-    def _add_free_motions(self, push: Pairs, moves_at_once: Bool[np.ndarray, "c c"]) -> None:
-        """Evidence on positions that nothing moves and that move others, as that of a road.
-
-        Args:
-            push: points for column i as what helps to foresee column j, [i, j].
-            moves_at_once: whether column j moves with column i in the same sample.
-        """
-        w, columns = WEIGHTS, range(len(self.names))
-        says = {role: np.array([self.says(i, role) for i in columns]) for role in ROLES}
-        is_other = [any(e.role == "other" and e.points >= w.useless for e in o) for o in self.own]
-        positions = (
-            says["position"] & ~np.array(is_other) & (self.slope < WEIGHTS.clear_slope).all(axis=0)
-        )
-        commands = np.array([r.qualifier == "command" for r in self.readings])
-        leads = self.follow > 0
-        is_own = self.is_copy | self.is_on_circle | leads | (self.slope > 0) | (self.slope.T > 0)
-        is_own |= (says["velocity"] | says["acceleration"])[:, None]
-        pushed = np.where(is_own & ~says["input"][:, None], 0.0, push).max(axis=0)
-        has_goal = (leads & commands[:, None]).any(axis=0)
-        family = np.array(self.family)
-        moves = (push > w.moved) & positions & (family[:, None] != family) & ~moves_at_once
-        moves &= ~np.outer(has_goal, has_goal) & ~self.is_on_circle
-        self.is_free = positions & ~commands & (pushed < w.unmoved) & moves.any(axis=1)
-        for i in np.flatnonzero(self.is_free).tolist():
-            j = int(np.argmax(np.where(moves[i], push[i], 0.0)))
-            role: Role = "set point" if leads[i, j] else "input"
-            text = f"nothing foretells it, and it foretells '{self.names[j]}'"
-            self.own[i].append(Evidence(role, w.useless, text))
-            self.own[i].append(Evidence("position", -w.useless, ""))
 
     def _follow_points(self, fit: Pairs, late: Pairs) -> Pairs:
         w = WEIGHTS

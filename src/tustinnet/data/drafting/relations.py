@@ -29,8 +29,6 @@ class RelationLevels(NamedTuple):
         exact: share of the variance in which copies differ, as programs compute them.
         rounded: the same of copies that are rounded to coarse steps, at most.
         one: squared correlation of columns that are one signal: their sums say nothing.
-        at_once: slope of the news of two columns, by their deviations, of which one is a function
-            of the other.
         circle: size of a value, above which a column is no cosine.
         on_circle: deviation of cosine^2 + sine^2 from 1.
         of_angle: range of a cosine or sine, at least.
@@ -41,7 +39,6 @@ class RelationLevels(NamedTuple):
     exact: float = 1e-9
     rounded: float = 5e-3
     one: float = 0.98
-    at_once: float = 0.2
     circle: float = 1.05
     on_circle: float = 0.02
     of_angle: float = 0.3
@@ -261,7 +258,7 @@ def find_copy(first: Sequence[Values], second: Sequence[Values]) -> float:
 
 
 @np.errstate(all="ignore")
-def find_causes(records: Sequence[Table]) -> tuple[Pairs, Bool[np.ndarray, "c c"]]:
+def find_causes(records: Sequence[Table]) -> Pairs:
     """The help of each column's past to foresee each other one beyond its own past.
 
     The own past has as many samples as the Bayesian information criterion takes, so that a smooth
@@ -273,11 +270,10 @@ def find_causes(records: Sequence[Table]) -> tuple[Pairs, Bool[np.ndarray, "c c"
 
     Returns:
         The logarithm of the ratio of the variances of the forecasts of column j without and with
-        column i, [i, j]; 0 where it is not significant. And whether column j moves with column i
-        in the same sample, as a function of it does and no effect.
+        column i, [i, j]; 0 where it is not significant.
     """
     size = records[0].shape[1]
-    gains, moves_at_once = np.zeros((size, size)), np.zeros((size, size), bool)
+    gains = np.zeros((size, size))
     # samples over which causes are averaged: fast ones, and slow ones in noise
     for width in (1, 4, 12):
         blocks = [
@@ -293,19 +289,12 @@ def find_causes(records: Sequence[Table]) -> tuple[Pairs, Bool[np.ndarray, "c c"
             for lag in range(_OWN_LAGS + 1)
         ]
         for j in range(size):
-            gain, slope = _gains_of(lagged, j, now=lagged[: int(width == 1)])
-            gains[:, j] = np.maximum(gains[:, j], gain)
-            moves_at_once[:, j] |= np.abs(slope) > RELATION.at_once
-    return gains, moves_at_once
+            gains[:, j] = np.maximum(gains[:, j], _gains_of(lagged, j))
+    return gains
 
 
-def _gains_of(
-    lagged: Sequence[Table], j: int, *, now: Sequence[Table]
-) -> tuple[Values, Values | float]:
-    """The gains of all columns for the forecast of column j, given all columns by their lag.
-
-    And the slope of its news in a sample by those of the columns `now`; 0 without them.
-    """
+def _gains_of(lagged: Sequence[Table], j: int) -> Values:
+    """The gains of all columns for the forecast of column j, given all columns by their lag."""
     target, n = lagged[0][:, j], len(lagged[0])
     own = np.column_stack([np.ones(n), *(table[:, j] for table in lagged[1:])])
     basis = np.linalg.qr(own)[0]
@@ -316,9 +305,9 @@ def _gains_of(
     order = int(np.argmin((n * np.log(left) + orders * np.log(n))[2:])) + 3
     basis = basis[:, :order]
     rest = target - basis @ products[:order]
-    news = [table - basis @ (basis.T @ table) for table in (*lagged[1:3], *now)]
+    news = [table - basis @ (basis.T @ table) for table in lagged[1:3]]
     explained = np.zeros(lagged[0].shape[1])
-    for k, part in enumerate(news[:2]):
+    for k, part in enumerate(news):
         squares = (part**2).sum(axis=0)
         squares = np.where(squares > 1e-10 * n, squares, np.inf)
         explained += (part.T @ rest) ** 2 / squares
@@ -327,11 +316,7 @@ def _gains_of(
     unexplained = float(rest @ rest) + noise
     gain = np.log(unexplained / np.maximum(unexplained - explained, noise))
     gain[j] = 0.0
-    gain = np.where(gain > 2 * np.log(n) / n, gain, 0.0)
-    if not now:
-        return gain, 0.0
-    sizes = (news[2] ** 2).sum(axis=0)
-    return gain, (news[2].T @ rest) / np.where(sizes > 1e-14 * n, sizes, np.inf)
+    return np.where(gain > 2 * np.log(n) / n, gain, 0.0)
 
 
 def find_sines(
