@@ -201,7 +201,7 @@ write_card("LOGS", SPLITS)
 # * In the second table, compare `range` with what you know of the machine. An angle of 90 rad
 #   would mean that degrees were declared as radians. `count` is the encoder count found in the
 #   data: 2 pi / 4096 = 0.00153.
-# * `saturated` is the share of time at an end of the input's range. A large share means that the
+# * `at its ends` is the share of time at an end of the input's range. A large share means that the
 #   logged voltage may not be what the motor received.
 #
 # [The reference](../reference/data.md#of-a-data-set) explains the other columns.

@@ -159,7 +159,7 @@ def test_a_system_of_other_records_leaves_the_others_to_go_on(folder, tmp_path, 
     assert "grey, fold 0: " in err
     assert "* chosen: network" in printed
     table = (out / "candidates.md").read_text()
-    assert re.search(r"without a score, .*the system 'qube-servo2'.*: grey\n", table)
+    assert re.search(r"without a score: grey \(.*the system 'qube-servo2'.*\)\n", table)
 
 
 @pytest.mark.parametrize(

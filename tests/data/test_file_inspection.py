@@ -146,8 +146,8 @@ def test_the_draft_says_why_and_what_to_check(tmp_path: Path) -> None:
     pl.DataFrame({**BELT, "gain": np.ones(N), "spin_rad_s": NOISE}).write_csv(tmp_path / "log.csv")
     draft = draft_file(tmp_path / "log.csv").text
     for line in (
-        '# "motor_cnt" as a coordinate: in counts by its name; steps of 1, as encoder counts; '
-        "smooth",
+        '# "motor_cnt" as a coordinate: in counts by its name; '
+        "steps of 1, as of a sensor's counts; smooth",
         "# check counts in a turn: 4096 is assumed",
         "counts_per_revolution = 4096",
         """# "voltage" as an input: 'voltage' in its name""",

@@ -228,7 +228,7 @@ def _channel_table(reports: list["check_report.ExperimentReport"], unit: str) ->
             size = [f"{i.rms:.3g}", band, f"{i.saturated:.1%}"]
             rows.append([r.name, i.name, _range_text(i.range), "", *size])
     return tables.Table(
-        ["record", "channel", "range", "count", "rms", "90 % below [Hz]", "saturated"],
+        ["record", "channel", "range", "count", "rms", "90 % below [Hz]", "at its ends"],
         rows,
         title=f"Channels: positions in {unit}, inputs in their unit",
     )

@@ -432,12 +432,29 @@ def _find_stretches(
                 continue
             first = max(0, a * samples - samples // 2)
             stop = min(len(record), b * samples + samples // 2)
+            if _is_at_an_end(records, i, slice(first, stop)):
+                continue
             reason = (
                 f"short simulations are {single[i][a:b].max() / median:.2g} times as far off as "
                 "usual: moved by a hand, a contact, or another force that is not in the log?"
             )
             parts.append(spoiled_stretch(record, first, stop, "unlogged force", reason))
     return parts
+
+
+def _is_at_an_end(records: Sequence[Experiment], i: int, rows: slice) -> bool:
+    """Whether an input, or its change, is beyond all others in some rows of a record.
+
+    Or a position is at an end of its travel. What a model lacks of limits shows there alone.
+    """
+    columns = [np.column_stack([e.u, np.diff(e.u, axis=0, prepend=e.u[:1]), e.q]) for e in records]
+    inside = columns[i][rows]
+    columns[i] = np.delete(columns[i], rows, axis=0)
+    outside, n = np.concatenate(columns), 2 * records[0].u.shape[1]
+    beyond = np.abs(inside[:, :n]).max(axis=0) > np.abs(outside[:, :n]).max(axis=0)
+    near = 0.01 * np.ptp(outside[:, n:], axis=0)
+    ends = [np.abs(f(inside, axis=0) - f(outside, axis=0))[n:] <= near for f in (np.min, np.max)]
+    return bool(beyond.any() or np.any(ends))
 
 
 def _is_friction(

@@ -10,14 +10,16 @@ from tustinnet.selection.jobs import RunContext
 from tustinnet.selection.ranking import CandidateResult
 from tustinnet.store.header import read_header
 
+_WHERE = "the chosen model"
+
 
 def calibrate_on_folds(
     result: CandidateResult,
     final: FinalModel,
     context: RunContext,
     deadline: Deadline = NEVER,
-) -> Calibration | None:
-    """Calibrates the bands of a candidate; None where they cannot be.
+) -> Calibration:
+    """Calibrates the bands of a candidate.
 
     The model of each fold simulates the records that it has not seen. The chosen model has seen
     all records: its own errors are rather smaller.
@@ -28,23 +30,23 @@ def calibrate_on_folds(
         context: where the models are, and how they were scored.
         deadline: after it there are no bands.
 
-    Returns:
-        None where the model of a fold, or the chosen one, does not say how sure it is, where
-        free runs diverge, and where time was up.
+    Raises:
+        InputError: the model of a fold, or the chosen one, does not say how sure it is, free runs
+            diverge, or time is up.
     """
+    unsure = InputError(_WHERE, "does not say how sure it is")
     if not family_of(final.model).alternatives(final.model, dict(final.header)):
-        return None
+        raise unsure
     start, horizon = result.start, context.scoring.horizon
     predictions, records = list[Prediction](), list[Experiment]()
     for fold, (fit, *_) in sorted(result.fits_by_fold.items()):
         model = context.load_model(fit.model)
         alternatives = family_of(model).alternatives(model, read_header(context.folder / fit.model))
-        if not alternatives or deadline.remaining <= 0:
-            return None
+        if not alternatives:
+            raise unsure
+        if deadline.remaining <= 0:
+            raise InputError(_WHERE, "no time was left")
         scored = context.splits[fold].scored
         predictions += predict(model, alternatives, scored, start, horizon=horizon)
         records += scored
-    try:
-        return calibrate_bands(predictions, records, start, horizon)
-    except InputError:
-        return None
+    return calibrate_bands(predictions, records, start, horizon)

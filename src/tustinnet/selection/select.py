@@ -296,7 +296,7 @@ def _choose(
         bands = calibrate_on_folds(best, final, context, deadline)
     except Exception as error:  # of any kind: the model is there
         bands = None
-        reporter.on_message(make_finding("no bands", why=error_message(error)).text)
+        queue.notes.append(make_finding("no bands", why=error_message(error)))
     stopwatch.end("bands")
     spoiled: tuple[SpoiledPart, ...] = ()
     is_searched = bool(left_out)  # before the candidates were fitted

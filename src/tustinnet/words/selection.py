@@ -82,7 +82,7 @@ SELECTION = {
         "its free runs have bands (simulate `band=`) of up to {level} %, calibrated on the "
         "{records:record} that folds left out"
     ),
-    "without score": note("without a score, {why}: {candidates}"),
+    "without score": note("without a score: {candidates} ({why})"),
     # --- what was done before and meanwhile ---
     "short records": note("left out, of fewer than {fewest} samples: {records}"),
     "cut into pieces": warning(
@@ -115,5 +115,5 @@ SELECTION = {
         "other programs used {share:percent} of the processors: `budget=` {longer:.0f}s does here "
         "what {budget:.0f} s do without them"
     ),
-    "no bands": note("no bands around free runs: {why}"),
+    "no bands": note("no bands around free runs ({why})"),
 }

@@ -304,7 +304,7 @@ def _examine(
 ) -> Examination:
     """Examines logs that were read; by velocities they may have a period [s] that nothing says."""
     readings = read_names(logs)
-    clock, period_reason = find_clock(logs, readings), "the mean time between samples"
+    clock, period_reason = find_clock(logs, readings), "the usual time between samples"
     if clock.dt is None:
         logs, stated_period = _keep_usual_period(folder, logs, notes.append)
         dt, period_reason = _find_period(folder, logs, stated_period, answers, by_velocities)

@@ -258,7 +258,7 @@ def shape_evidence(numbers: Numbers, reading: NameReading) -> list[Evidence]:
     if numbers.smooth:
         count = numbers.count
         if count is not None and (numbers.whole or not is_decimal(count)):
-            text = f"steps of {count:.6g}, as encoder counts"
+            text = f"steps of {count:.6g}, as of a sensor's counts"
             evidence.append(Evidence("position", w.count, text))
         evidence.append(Evidence("position", w.smooth, "smooth"))
         evidence.append(Evidence("velocity", 0.3 * w.smooth, "smooth"))
@@ -559,9 +559,10 @@ def _slope_points(slopes: Slopes, readings: Sequence[NameReading]) -> Pairs:
     is_rate = [not unit or "/" in unit or unit in ("rpm", "g") for unit in units]
     kinds = [reading.kind for reading in readings]
     is_other = [[None not in (a, b) and a != b for b in kinds] for a in kinds]
-    points = np.where(is_rate & ~np.array(is_other), points, -w.no_slope)
+    points = np.where(is_rate, points, -w.no_slope)
     # too few samples to say anything
     points = np.where(slopes.factor == 0, -0.25 * w.no_slope, points)
+    points = np.where(is_other, -2 * w.no_slope, points)  # none, whatever else speaks for it
     np.fill_diagonal(points, -w.no_slope)
     return points
 
