@@ -282,8 +282,7 @@ def _choose(
     names = tuple(r.name for r in remaining)
     candidates = SelectionResults(queue.plan, tuple(queue.results.values()), names)
     best, whole, alike = compare_whole_records(candidates, remaining[0], context, deadline)
-    if alike:
-        queue.notes.append(make_finding("whole records decide", candidates=[*alike]))
+    notes = [make_finding("whole records decide", candidates=[*alike])] if alike else []
     folds = len(best.fits_by_fold)
     as_often = [r for r in candidates.choosable if len(r.fits_by_fold) == folds]
     simplest = find_simplest(as_often, best)
@@ -296,7 +295,7 @@ def _choose(
         bands = calibrate_on_folds(best, final, context, deadline)
     except Exception as error:  # of any kind: the model is there
         bands = None
-        queue.notes.append(make_finding("no bands", why=error_message(error)))
+        notes.append(make_finding("no bands", why=error_message(error)))
     stopwatch.end("bands")
     spoiled: tuple[SpoiledPart, ...] = ()
     is_searched = bool(left_out)  # before the candidates were fitted
@@ -307,7 +306,9 @@ def _choose(
     stopwatch.end("records that spoil a fit")
     origins = {name: model.origin for name, model in models.items()}
     of_fit = [f for f in final.header.get("findings", ()) if f["severity"] != "note"]
-    queue.notes += [make_finding(f["code"], **f["values"]) for f in of_fit]
+    notes += [make_finding(f["code"], **f["values"]) for f in of_fit]
+    reporter.report(notes)
+    queue.notes += notes
     errors = best.rmse()
     scored = [e for e in records_without_test(context.data) if e.name in errors]
     choice = Choice(
