@@ -37,7 +37,7 @@ def validation(folder: Path) -> tn.DataSet:
 @pytest.mark.thorough
 def test_a_calibrated_model_simulates_and_is_judged_with_bands(place, tmp_path, capsys):
     banded, folder = place.banded, place.logs
-    given = ("--system", place.system, "--start", "derived-6", "--split", "validation")
+    given = ("--system", place.system, "--start", "model-20", "--split", "validation")
     sim = tmp_path / "sim"
     asked = ("simulate", banded, folder, *given, "--out", sim, "--band", 0.6)
     assert tustinnet(capsys, *asked)[0] == 0

@@ -94,7 +94,7 @@ def test_parameters_have_both_errors_and_calibrated_models_bands(place, tmp_path
         "--split",
         "validation",
         "--start",
-        "derived-6",
+        "model-20",
         "--system",
         place.system,
         "--out",
