@@ -9,7 +9,7 @@ another fit.
 * A stretch with errors far above the usual ones, and above those of all pieces elsewhere, has a
   force that is not in the log. Where any other is as far off, the model lacks something; so it
   does where forces that only follow the sign of the velocity, or its sign at low speeds, explain
-  them: friction, and no hand.
+  them (friction), and where an input or a position is at an end of its range (a limit).
 * A record that its own parameters explain far better than those of the other records was made
   under other conditions, such as another payload. Where the model lacks something, parameters
   depend on the kind of motion; so those of other single records must not explain it either.

@@ -78,7 +78,7 @@ def _reason_against(
     channels, reason = context.data.channels, ""
     if candidate.when in ("fast", "slow") and candidate.when != speed:
         reason = f"only for {candidate.when} records"
-    elif adds_lag(candidate) and not channels.inputs:
+    elif LAG in _laws(candidate) and not channels.inputs:
         reason = "only for records with inputs"
     elif all_turn and _needs_limited_travel(candidate):
         reason = "only for coordinates with an end, and all turn around"
@@ -118,9 +118,9 @@ def _force_problem(system: LagrangianSystem, candidate: Candidate) -> str:
     return ""
 
 
-def adds_lag(candidate: Candidate) -> bool:
-    """Whether the recipe of a candidate adds the lag of an actuator."""
-    return LAG in _laws(candidate)
+def adds_lag_alone(candidate: Candidate) -> bool:
+    """Whether all that the recipe of a candidate adds is the lag of an actuator."""
+    return _laws(candidate) == [LAG]
 
 
 def _forces(candidate: Candidate) -> tuple[str, ...]:

@@ -21,7 +21,11 @@ from tustinnet.fits.preparation import PreparationOptions, prepare_records
 from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.roles import records_without_test
 from tustinnet.models.contract import require_float64
-from tustinnet.selection.applicability import adds_lag, applicable_candidates, force_cutoff
+from tustinnet.selection.applicability import (
+    adds_lag_alone,
+    applicable_candidates,
+    force_cutoff,
+)
 from tustinnet.selection.calibration import calibrate_on_folds
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.final_models import (
@@ -185,7 +189,7 @@ def select_model(
         ),
     )
     reporter.report(prepared.findings)
-    promising = [c.name for c in candidates if prepared.lags and adds_lag(c)]
+    promising = [c.name for c in candidates if prepared.lags and adds_lag_alone(c)]
     context = context.with_changes(data=prepare_for_folds(prepared.data)[0], delays=prepared.delays)
     folds = min(context.scoring.folds, len(context.data))
     context = context.with_changes(

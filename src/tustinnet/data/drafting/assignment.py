@@ -90,7 +90,7 @@ class _Prices:
         family = np.array(t.family)
         # as of several propellers, which balance one another
         is_same = (family[:, None] == family) & inputs
-        self.inputs = np.where(is_same, 0.0, np.where(is_copy, t.repeats + 0.5 * w.copy, 0.0))
+        self.inputs = np.where(is_copy & ~is_same, t.repeats + 0.5 * w.copy, 0.0)
         for prices in (self.positions, self.velocities, self.motion):
             prices[t.is_copy] = 3 * w.copy  # whatever their names say
         for prices in (self.positions, self.velocities, self.inputs):
@@ -339,7 +339,7 @@ class Assignment:
             reasons.append((float(points[other]), text.format(partner)))
         ordered = sorted((r for r in reasons if r[0] > 0), key=lambda r: -r[0])
         use = int(self.uses(self.roles)[i])
-        # that nothing else could be the motion is no reason; an input shows by what it moves
+        # that nothing else could be the motion is no reason
         named = t.contradicting(i, ROLES[role]) if use == _POSITION else None
         return Verdict(
             ROLES[role],

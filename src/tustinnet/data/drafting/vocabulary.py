@@ -41,8 +41,7 @@ _STRONG: dict[Quantity, str] = {
     "voltage": "voltage spannung volt volts motorspannung ankerspannung uq vq ud vd ua vm spanning",
     "duty": "pwm duty dutycycle tastgrad throttle gas",
     "control": "control input eingang stellgroesse stellwert stellsignal action ctrl actuation "
-    "excitation anregung erregung "
-    "stell aktion pid",
+    "stell aktion pid excitation anregung erregung",
     "torque": "torque torques tau moment drehmoment effort efforts motormoment trq couple",
     "force": "force forces kraft thrust schub antriebskraft",
     "current": "current currents strom motorstrom iq ankerstrom corriente",
