@@ -101,7 +101,7 @@ REFUSED = {
     "text": (lambda p: [p / "a.csv"], "no column of numbers"),
     "only times": (lambda p: [p / "t.csv"], "no column besides the times"),
     "nothing moves": (lambda p: [p / "still.csv"], "no column could be a position"),
-    "a sensor flickers": (lambda p: [p / "flicker.csv"], "between three values at most"),
+    "a sensor flickers": (lambda p: [p / "flicker.csv"], "three values at most)"),
 }
 
 

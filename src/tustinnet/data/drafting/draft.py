@@ -456,7 +456,8 @@ def _usable_pieces(
             piece = piece.part(int(rows[0]), int(rows[-1]) + 1, "rows lack numbers or times")
         # a sensor at rest flickers between neighbouring values
         if coordinates and all(len(np.unique(piece.column(c))) <= 3 for c in coordinates):
-            on_message(f"left out: {place}: nothing moves, or between three values at most")
+            names = ", ".join(f"'{name}'" for name in coordinates)
+            on_message(f"left out: {place}: nothing moves ({names}: three values at most)")
         else:
             usable.append(piece)
     return usable
