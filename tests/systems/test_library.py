@@ -33,13 +33,13 @@ def test_the_parameters_of_a_twin_are_recovered(module):
     )
     delays = [e for e in result.estimates if e.name.endswith(".delay")]  # beside a lag
     assert all(abs(e.value) < 0.1 * result.model.dt for e in delays)
-    found = [e for e in result.estimates if e not in delays]
-    values = {e.name: e.value for e in found}
+    physical = [e for e in result.estimates if e not in delays]
+    values = {e.name: e.value for e in physical}
     # all that differs from the nominal values had to be found
     assert set(values) == set(twin.values)
     assert values == pytest.approx(dict(twin.values), rel=0.02)
     # over many seeds 95 % of the intervals contain the true values: benchmarks/library.py
-    intervals = {e.name: e.interval or (np.nan, np.nan) for e in found}
+    intervals = {e.name: e.interval or (np.nan, np.nan) for e in physical}
     inside = [low <= twin.values[name] <= high for name, (low, high) in intervals.items()]
     assert sum(inside) >= 0.75 * len(inside)
     assert all(high - low < 0.1 * twin.values[name] for name, (low, high) in intervals.items())

@@ -8,9 +8,9 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.evaluate.spoiled import find_spoiled
 from tustinnet.finding import Finding, make_finding
 from tustinnet.fits.preparation import PreparationOptions, PreparedRecords, prepare_records
+from tustinnet.fits.timing import refine_delays
 from tustinnet.fitting.inverse_dynamics.along import require_possible
 from tustinnet.fitting.listener import SILENT, Listener
-from tustinnet.fitting.recipe import IdentificationRecipe
 from tustinnet.fitting.recipe_reading import is_published
 from tustinnet.fitting.report import FitResult
 from tustinnet.fitting.roles import assign_roles
@@ -136,9 +136,7 @@ def prepare(request: FitRequest, listener: Listener = SILENT) -> PreparedFit:
     if model is not None and any(i.hold == "unknown" for i in data.channels.inputs):
         data = replace(data, experiments=tuple(e.with_timing(model.inputs) for e in data))
     records = prepare_records(data, options)
-    if records.delays and isinstance(recipe, IdentificationRecipe):
-        delays = [f"{name}.delay" for name in records.delays]
-        task = replace(task, recipe=recipe.with_free(delays))
+    task = replace(task, recipe=refine_delays(recipe, records.delays))
     if records.data is not request.data:
         task = replace(task, folds=(replace(fold, roles=assign_roles(records.data)),))
     return PreparedFit(task, records)

@@ -4,7 +4,7 @@ They are properties of the records, not of a model: what an input does between t
 time from a logged sample to its effect. `signals.input_timing` finds them without a model.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from tustinnet.data.dataset import DataSet
 from tustinnet.data.experiment import Experiment
 from tustinnet.errors import InputError
 from tustinnet.finding import Finding, make_finding
+from tustinnet.fitting.recipe import IdentificationRecipe, Recipe
 from tustinnet.fitting.roles import records_without_test
 from tustinnet.models.lagrangian import LagrangianSystem
 from tustinnet.signals.input_timing import (
@@ -26,7 +27,6 @@ from tustinnet.systems.loading import load_system_or_template
 
 LAG = "lag"  # the force by name that is the lag of an actuator
 _USUAL: Hold = "zero-order"
-_LATE = ("delay", "lag", "delay and lag", "delay or lag")  # verdicts on an input that acts late
 
 
 @dataclass(frozen=True)
@@ -80,16 +80,26 @@ def determine_timing(data: DataSet, system: AnySystem | None = None) -> Timing:
         delay = what.delay if one is None or what.delay is not None else _acting_delay(one)
         hold = what.hold or (one.hold if one else _USUAL)
         acting.append(replace(own, hold=hold, delay=delay or 0.0))
-        acts_late = one is not None and what.delay is None and one.verdict in _LATE
-        if acts_late or own.delay is None:
+        has_delay, has_lag = (one is not None and word in one.verdict for word in ("delay", "lag"))
+        if own.delay is None or (what.delay is None and (has_delay or has_lag)):
             delays.append(own.name)
         if one and is_asked[j]:
             findings.append(_describe(own.name, one, what, data[0].dt, advises_force=lacks_lag))
-            if "lag" in one.verdict:
+            if has_lag:
                 lags.append(own.name)
     experiments = tuple(_with_inputs(e, acting) for e in data)
     data = replace(data, experiments=experiments)
     return Timing(data, tuple(findings), tuple(lags), tuple(delays))
+
+
+def refine_delays(recipe: Recipe, inputs: Iterable[str]) -> Recipe:
+    """The recipe in which the delays of some inputs are parameters; of an identification only.
+
+    One that compares forces along the measured motion has no delays.
+    """
+    if not isinstance(recipe, IdentificationRecipe) or recipe.is_by_forces:
+        return recipe
+    return recipe.with_free(f"{name}.delay" for name in inputs)
 
 
 def _declared_timing(own: Input) -> DeclaredTiming:
@@ -113,8 +123,7 @@ def _estimate(data: DataSet, declared: Sequence[DeclaredTiming]) -> list[InputTi
 
 def _acting_delay(timing: InputTiming) -> float:
     """The delay with which records are fitted [s]."""
-    has_delay = timing.verdict in ("delay", "delay or lag", "delay and lag")
-    return timing.delay.value if has_delay else 0.0
+    return timing.delay.value if "delay" in timing.verdict else 0.0
 
 
 def _describe(

@@ -27,6 +27,7 @@ from tustinnet.evaluate.scores import Score, score_runs, scores_header
 from tustinnet.families.family import family_of
 from tustinnet.fits.deadline import Deadline
 from tustinnet.fits.in_folder import fit_in_folder
+from tustinnet.fits.timing import refine_delays
 from tustinnet.fitting.fit import fit_task
 from tustinnet.fitting.identify import UnfinishedSearchError
 from tustinnet.fitting.inverse_dynamics.along import find_obstacle
@@ -418,9 +419,7 @@ def make_job_task(jobs: Sequence[Job], context: RunContext) -> Task:
         recipe = begin_with(recipe, origin.model, system, context.data)
         train = context.splits[first.fold].roles_for(recipe).train
         recipe = _begin_by_group(recipe, origin.model, train)
-    if isinstance(recipe, IdentificationRecipe) and not recipe.is_by_forces:
-        recipe = recipe.with_free(f"{name}.delay" for name in context.delays)
-    return Task(recipe, folds, members, system)
+    return Task(refine_delays(recipe, context.delays), folds, members, system)
 
 
 def _begin_by_group(recipe: Recipe, origin: Model, records: Sequence[Experiment]) -> Recipe:

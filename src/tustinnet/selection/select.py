@@ -21,11 +21,7 @@ from tustinnet.fits.preparation import PreparationOptions, prepare_records
 from tustinnet.fitting.listener import SILENT, Listener
 from tustinnet.fitting.roles import records_without_test
 from tustinnet.models.contract import require_float64
-from tustinnet.selection.applicability import (
-    adds_lag_alone,
-    applicable_candidates,
-    force_cutoff,
-)
+from tustinnet.selection.applicability import adds_lag_alone, applicable_candidates, force_cutoff
 from tustinnet.selection.calibration import calibrate_on_folds
 from tustinnet.selection.choice import Choice
 from tustinnet.selection.final_models import (

@@ -29,9 +29,10 @@ class Verdict:
         role: its role.
         reasons: the sentences that speak for it, the strongest first.
         rival: the role that it has in the best assignment in which it is used otherwise.
-        margin: how much better the assignment is than that, in points.
+        margin: how much better the assignment is than that, in points; 0 of a name's role.
         near: a smaller margin is a question.
         partner: the column of which it is the velocity or set point, or that it moves, if any.
+        is_by_name: whether the rival is what its name states.
     """
 
     role: Role
@@ -40,6 +41,7 @@ class Verdict:
     margin: float = np.inf
     near: float = WEIGHTS.near
     partner: str | None = None
+    is_by_name: bool = False
 
     @property
     def because(self) -> str:
@@ -348,6 +350,7 @@ class Assignment:
             0.0 if named else self.margins[family],
             WEIGHTS.near_of_used if use in (_POSITION, _INPUT) else WEIGHTS.near,
             partner,
+            named is not None,
         )
 
 

@@ -110,10 +110,11 @@ def _ask_for_roles(findings: Findings, choice: Choice) -> None:
     families: dict[tuple[object, ...], list[str]] = {}
     for name, verdict in findings.verdicts.items():
         if verdict.is_open:
-            families.setdefault((verdict.role, verdict.rival, verdict.margin), []).append(name)
-    for (role, rival, margin), names in families.items():
+            key = verdict.role, verdict.rival, verdict.margin, verdict.is_by_name
+            families.setdefault(key, []).append(name)
+    for (role, rival, margin, is_by_name), names in families.items():
         more = f" (and {', '.join(repr(n) for n in names[1:])})" if len(names) > 1 else ""
-        why = f"{margin:.1f} points less" if margin else "as its name says"
+        why = "as its name says" if is_by_name else f"{margin:.1f} points less"
         text = f"what is '{names[0]}'{more}: {role}, or {rival} ({why})?"
         assumption = str(role) if role in ROLE_BY_ANSWER else "none"
         choice.questions.append(

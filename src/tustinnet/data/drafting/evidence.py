@@ -379,7 +379,8 @@ class EvidenceTable:
         quantity = reading.quantity
         if quantity is None or reading.qualifier == "command" or not reading.stated([quantity]):
             return None
-        return _ROLE_OF[quantity] if _ROLE_OF[quantity] != role else None
+        stated = _ROLE_OF[quantity]
+        return stated if stated != role else None
 
     @np.errstate(all="ignore")  # of columns that stand still in the samples that are compared
     def _add_circles(self, records: Sequence[Table]) -> None:
